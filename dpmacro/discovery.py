@@ -1,0 +1,245 @@
+"""DPBoost: macro-labels and a strong classifier per macro-action, by boosting and segmentation in alternation.
+
+    L(q, f) = sum_n sum_m exp(-y_n^m f_{q_n}^m(x_n))   subject to   #{n : q_n != q_{n+1}} <= S
+
+in every trajectory (Lefakis and Fleuret, Section III). The objective has many local optima, so the alternation
+starts from many seeded initial segmentations side by side, on a few dozen random stump candidates a round.
+Left-out trajectories choose among the distinct outcomes, and the chosen one is refitted with the exact learner.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int64, Num
+from torch import Tensor
+
+from dpmacro.boosting import Boosting, class_targets
+from dpmacro.features import Quantiser
+from dpmacro.initial import feature_peaks, random_cuts
+from dpmacro.learners import StrongClassifier, WeakLearner
+from dpmacro.learners.stumps import SortedLevels, StumpLearner
+from dpmacro.segmentation import segment
+from dpmacro.selection import Verdict, distinct, judge
+
+__all__ = ["Candidates", "DPBoost", "DPBoostResult", "Round"]
+
+ROUNDING = 1e-4  # relative; scores are float32
+
+
+@dataclass(frozen=True)
+class Round:
+    """What a boosting round reports."""
+
+    stage: str  # discover | fit
+    number: int  # from 1
+    total: int
+    loss: float  # objective per frame, of the best restart while discovering
+    labels: Int64[Tensor, " frames"]  # of that restart
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Where the alternation ended from every initial segmentation."""
+
+    labels: Int64[Tensor, "restarts frames"]
+    loss: Float[Tensor, "rounds restarts"]  # objective per frame after every round
+
+
+@dataclass(frozen=True)
+class DPBoostResult:
+    """A segmentation and what explains it."""
+
+    labels: Int64[Tensor, " frames"]  # macro-action of every frame, 0..Q-1
+    loss: Float[Tensor, " rounds"]  # objective per frame after every round of the exact fit
+    classifiers: StrongClassifier  # problems are macro-actions, classes are actions
+    quantiser: Quantiser | None  # from raw feature columns to levels; None where levels were given
+    candidates: Candidates | None  # None where there was nothing to discover
+    verdicts: dict[int, Verdict]  # of the restarts that were judged
+
+    def scores(self, features: Num[Tensor, "frames columns"]) -> Float[Tensor, "frames macros actions"]:
+        """f_q^m(x) of raw features; only for a result that was fitted on raw features."""
+        assert self.quantiser is not None, "fitted on levels: use classifiers.scores"
+        return self.classifiers.scores(self.quantiser.levels(features.T.contiguous()))
+
+
+@dataclass(frozen=True)
+class _Task:
+    actions: Int64[Tensor, " frames"]
+    lengths: Int64[Tensor, " trajectories"]
+    n_actions: int
+
+
+class DPBoost:
+    """Macro-action discovery by change point detection and boosting.
+
+    Args:
+        macros: Q >= 1; 1 is the baseline, a single classifier.
+        max_transitions: S >= 0, the bound in every trajectory; None for Q - 1.
+        rounds: boosting rounds of the exact fit.
+        learner: makes a weak learner from sorted levels.
+        restarts: initial segmentations, the first half from feature peaks, the rest random cuts.
+        seed: of every draw.
+        device: where tensors live.
+        shrinkage: factor in (0, 1] on every weak hypothesis.
+        discovery_rounds, warmup: rounds from every initial segmentation, and how many of them keep its
+            labels: relabelling by barely trained classifiers forgets a good start.
+        candidates: random columns searched a round while discovering.
+
+    Raises ValueError naming the argument that is out of range.
+    """
+
+    def __init__(
+        self,
+        macros: int,
+        max_transitions: int | None = None,
+        rounds: int = 300,
+        learner: Callable[[SortedLevels], WeakLearner] = StumpLearner,
+        restarts: int = 32,
+        seed: int = 0,
+        device: str | torch.device = "cpu",
+        *,
+        shrinkage: float = 0.1,
+        discovery_rounds: int = 80,
+        warmup: int = 30,
+        candidates: int = 48,
+    ) -> None:
+        counts = {"macros": macros, "rounds": rounds, "restarts": restarts, "discovery_rounds": discovery_rounds}
+        for name, value in {**counts, "candidates": candidates}.items():
+            if value < 1:
+                raise ValueError(f"{name} is {value}: give 1 or more")
+        self.macros = macros
+        self.max_transitions = macros - 1 if max_transitions is None else max_transitions
+        if self.max_transitions < 0:
+            raise ValueError(f"max_transitions is {max_transitions}: give 0 or more")
+        self.rounds = rounds
+        self.learner = learner
+        self.restarts = restarts
+        self.seed = seed
+        self.device = torch.device(device)
+        self.shrinkage = shrinkage
+        self.discovery_rounds = discovery_rounds
+        self.warmup = warmup
+        self.candidates = candidates
+
+    def fit(
+        self,
+        features: Num[Tensor, "frames columns"] | np.ndarray | SortedLevels,
+        actions: Int64[Tensor, " frames"] | np.ndarray,
+        lengths: Int64[Tensor, " trajectories"] | np.ndarray,
+        on_round: Callable[[Round], None] = lambda _: None,
+    ) -> DPBoostResult:
+        """Find macro-labels and strong classifiers.
+
+        Args:
+            features: numbers of every frame, trajectories concatenated; or levels that are sorted already.
+            actions: 0..M-1 of every frame.
+            lengths: frames of every trajectory.
+            on_round: called after every boosting round.
+
+        Raises ValueError where the shapes disagree, a feature is not finite, an action is negative, or there
+        are more macro-actions than frames.
+        """
+        actions = torch.as_tensor(actions).long()
+        lengths = torch.as_tensor(lengths).long()
+        data, quantiser = self._prepare(features)
+        _check(data, actions, lengths, self.macros)
+        generator = torch.Generator().manual_seed(self.seed)
+        task = _Task(actions.to(self.device), lengths, int(actions.max()) + 1)
+        candidates, verdicts = None, {}
+        labels = torch.zeros(1, len(actions), dtype=torch.int64)
+        if self.macros > 1 and self.max_transitions > 0:
+            candidates = self._discover(data, task, generator, on_round)
+            labels, verdicts = self._choose(data, task, candidates, generator)
+        boosting = self._boosting(self.learner(data), task, 1, generator)
+        fitted = self._alternate(boosting, task, labels, "fit", self.rounds, on_round)
+        return DPBoostResult(
+            fitted.labels[0], fitted.loss[:, 0], boosting.strong(), quantiser, candidates, verdicts
+        )
+
+    def _prepare(
+        self, features: Num[Tensor, "frames columns"] | np.ndarray | SortedLevels
+    ) -> tuple[SortedLevels, Quantiser | None]:
+        if isinstance(features, SortedLevels):
+            return features, None
+        values = torch.as_tensor(features).to(self.device).T.contiguous()
+        if values.is_floating_point() and not bool(values.isfinite().all()):
+            column, frame = (~values.isfinite()).nonzero()[0].tolist()
+            raise ValueError(f"feature {column} of frame {frame} is {values[column, frame]}: features must be finite")
+        quantiser = Quantiser.fit(values)
+        return SortedLevels.build(quantiser.levels(values)), quantiser
+
+    def _boosting(self, learner: WeakLearner, task: _Task, restarts: int, generator: torch.Generator) -> Boosting:
+        targets = class_targets(task.actions, task.n_actions)
+        return Boosting(learner, targets, restarts * self.macros, self.shrinkage, generator)
+
+    def _discover(
+        self, data: SortedLevels, task: _Task, generator: torch.Generator, on_round: Callable[[Round], None]
+    ) -> Candidates:
+        """The alternation from every initial segmentation, on random stump candidates."""
+        n_peaks = (self.restarts + 1) // 2
+        shape = (self.macros, self.max_transitions, generator)
+        initial = torch.cat(
+            [
+                feature_peaks(data.levels, task.lengths, n_peaks, *shape),
+                random_cuts(task.lengths, self.restarts - n_peaks, *shape),
+            ]
+        )
+        learner = StumpLearner(data, candidates=self.candidates)
+        boosting = self._boosting(learner, task, self.restarts, generator)
+        return self._alternate(boosting, task, initial, "discover", self.discovery_rounds, on_round)
+
+    def _alternate(
+        self,
+        boosting: Boosting,
+        task: _Task,
+        labels: Int64[Tensor, "restarts frames"],
+        stage: str,
+        rounds: int,
+        on_round: Callable[[Round], None],
+    ) -> Candidates:
+        """Boosting rounds, each followed by a segmentation once the warm-up is over.
+
+        Boosting lowers the objective with the labels held, segmentation lowers it with the classifiers held and
+        the labels so far among its choices: it never rises, which is asserted up to rounding.
+        """
+        restarts, n_frames = labels.shape
+        labels, repeated = labels.to(self.device), task.lengths.repeat(restarts)
+        loss: list[Tensor] = []
+        for number in range(1, rounds + 1):
+            held = torch.nn.functional.one_hot(labels, self.macros).float()
+            boosting.round(held.transpose(0, 1).flatten(1))
+            costs = boosting.losses().unflatten(1, (restarts, self.macros)).transpose(0, 1)
+            if number > self.warmup and self.macros > 1:
+                labels = segment(costs.flatten(0, 1), repeated, self.max_transitions).labels.view(restarts, n_frames)
+            loss.append(costs.gather(2, labels[:, :, None]).double().mean((1, 2)))
+            risen = loss[-1] > loss[max(len(loss) - 2, 0)] * (1 + ROUNDING)
+            assert not bool(risen.any()), f"the objective rose in round {number} of {stage}"
+            best = int(loss[-1].argmin())
+            on_round(Round(stage, number, rounds, float(loss[-1][best]), labels[best]))
+        return Candidates(labels.cpu(), torch.stack(loss).cpu())
+
+    def _choose(
+        self, data: SortedLevels, task: _Task, candidates: Candidates, generator: torch.Generator
+    ) -> tuple[Int64[Tensor, "1 frames"], dict[int, Verdict]]:
+        """The candidate with the least causal error; with a single trajectory, the one with the least loss."""
+        order = candidates.loss[-1].argsort()
+        order = order[distinct(candidates.labels[order])]
+        if len(task.lengths) < 2:
+            return candidates.labels[order[:1]], {}
+        learner = StumpLearner(data, candidates=self.candidates)
+        verdicts = judge(learner, task.actions, task.lengths, candidates.labels[order], task.n_actions, generator)
+        best = min(range(len(order)), key=lambda k: verdicts[k].causal_error)
+        return candidates.labels[order[best : best + 1]], dict(zip(order.tolist(), verdicts, strict=True))
+
+
+def _check(data: SortedLevels, actions: Tensor, lengths: Tensor, macros: int) -> None:
+    if len(actions) == 0 or data.n_frames != len(actions):
+        raise ValueError(f"features have {data.n_frames} frames and actions {len(actions)}: give one action per frame")
+    if int(lengths.sum()) != len(actions) or int(lengths.min()) < 1:
+        raise ValueError(f"lengths {lengths.tolist()} must be positive and add up to {len(actions)} frames")
+    if int(actions.min()) < 0:
+        raise ValueError(f"an action is {int(actions.min())}: actions are 0 or more")
+    if macros > len(actions):
+        raise ValueError(f"macros is {macros} but there are only {len(actions)} frames: ask for fewer")

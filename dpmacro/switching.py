@@ -1,0 +1,198 @@
+"""Switch functions: when to leave a macro-action, learned from the change points of a segmentation.
+
+For every observed change q -> q' a binary strong classifier H_q^q' (Section IV of the paper) separates the J frames
+from the change on (positives) from the frames of q (negatives), both sides weighing the same. Its
+threshold is calibrated on trajectories that its training left out.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from dpmacro.boosting import Boosting
+from dpmacro.learners import StrongClassifier, WeakLearner
+
+__all__ = ["Event", "SwitchFunctions", "causal_labels", "fit_switches", "folds_of", "macro_segments", "starting_macro"]
+
+
+@dataclass(frozen=True)
+class SwitchFunctions:
+    """One switch function for every observed change, the same order throughout."""
+
+    pairs: list[tuple[int, int]]  # (from, to)
+    thresholds: Float[Tensor, " switches"]
+    detected: Float[Tensor, " switches"]  # share of left-out segments in which it fires at the change, never before
+    held_out: Float[Tensor, "frames switches"]  # score of every frame by a function that never saw its trajectory
+    classifier: StrongClassifier | None  # one binary problem per switch; None where nothing ever changes
+
+
+@dataclass(frozen=True)
+class Event:
+    """A segment of a macro-action and what follows it, in frames of the concatenated data."""
+
+    trajectory: int
+    macro: int
+    start: int
+    stop: int
+    following: int | None  # the next macro-action; None at the end of the trajectory
+    following_stop: int  # end of the next segment; `stop` where there is none
+
+
+def macro_segments(labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]) -> list[Event]:
+    """The segments of constant macro-label, in order, each with its successor in the trajectory."""
+    events = []
+    first = 0
+    for trajectory, part in enumerate(labels.cpu().split(lengths.tolist())):
+        macros, counts = part.unique_consecutive(return_counts=True)
+        bounds = (counts.cumsum(0) + first).tolist()
+        starts = [first, *bounds[:-1]]
+        for k, macro in enumerate(macros.tolist()):
+            follows = k + 1 < len(bounds)
+            following = int(macros[k + 1]) if follows else None
+            events.append(Event(trajectory, macro, starts[k], bounds[k], following, bounds[k + follows]))
+        first = bounds[-1]
+    return events
+
+
+def starting_macro(labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]) -> int:
+    """The macro-action that most trajectories start with."""
+    starts = torch.nn.functional.pad(lengths.cumsum(0)[:-1], (1, 0)).to(labels.device)
+    return int(labels[starts].mode().values)
+
+
+def fit_switches(
+    learner: WeakLearner,
+    labels: Int64[Tensor, " frames"],
+    lengths: Int64[Tensor, " trajectories"],
+    generator: torch.Generator,
+    window: int = 10,
+    rounds: int = 60,
+    shrinkage: float = 0.2,
+    folds: int = 5,
+) -> SwitchFunctions:
+    """Fit a switch function for every change of macro-label that the trajectories show.
+
+    Args:
+        learner: finds the stumps; holds the frames.
+        labels, lengths: the segmentation.
+        window: J >= 1, the positive frames from a change on.
+        rounds: boosting rounds.
+        folds: parts that trajectories are dealt into by `generator`; each part is scored by a switch function
+            that never saw it. The threshold is the middle of the widest range in which most left-out
+            segments fire within the J frames of their change and not before.
+
+    All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
+    be left out, and the calibration uses the training scores.
+    """
+    if window < 1 or rounds < 1:
+        raise ValueError(f"window is {window} and rounds {rounds}: both must be 1 or more")
+    events = macro_segments(labels, lengths)
+    pairs = sorted({(event.macro, event.following) for event in events if event.following is not None})
+    if not pairs:
+        return SwitchFunctions([], torch.zeros(0), torch.zeros(0), torch.zeros(learner.n_frames, 0), None)
+    fold_of = folds_of(len(lengths), folds, generator)
+    n_fits = int(fold_of.max()) + 2 if len(lengths) > 1 else 1  # the last one sees every trajectory
+    weights, targets = zip(
+        *(_examples(pair, events, fold_of, fold, learner.n_frames, window) for pair in pairs for fold in range(n_fits)),
+        strict=True,
+    )
+    n_problems = len(pairs) * n_fits
+    boosting = Boosting(
+        learner, torch.stack(targets, 1)[:, :, None].to(learner.device), n_problems, shrinkage, generator
+    )
+    base = torch.stack(weights, 1).to(learner.device)
+    for _ in range(rounds):
+        boosting.round(base)
+    scores = boosting.scores[:, :, 0].cpu().unflatten(1, (len(pairs), n_fits))
+    own_fit = fold_of.clamp(max=n_fits - 1).repeat_interleave(lengths)
+    held_out = scores.gather(2, own_fit[:, None, None].expand(-1, len(pairs), 1)).squeeze(2)
+    calibrated = [_calibrate(_peaks(pair, events, held_out[:, p], window)) for p, pair in enumerate(pairs)]
+    thresholds, detected = torch.tensor(calibrated).unbind(1)
+    last = torch.arange(n_fits - 1, n_problems, n_fits, device=learner.device)
+    return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong().select(last))
+
+
+def causal_labels(
+    scores: Float[Tensor, "frames switches"],
+    thresholds: Float[Tensor, " switches"],
+    pairs: list[tuple[int, int]],
+    lengths: Int64[Tensor, " trajectories"],
+    first_macro: int,
+) -> Int64[Tensor, " frames"]:
+    """The macro-labels that the switch functions choose when they run, frame after frame, never looking ahead."""
+    labels = torch.full((len(scores),), first_macro, dtype=torch.int64)
+    for start, length in zip((lengths.cumsum(0) - lengths).tolist(), lengths.tolist(), strict=True):
+        stop, frame, macro = start + length, start, first_macro
+        while True:
+            own = torch.tensor([source == macro for source, _ in pairs], dtype=torch.bool)
+            excess = (scores[frame:stop] - thresholds)[:, own]
+            firing = (excess > 0).any(1).nonzero()
+            if not len(firing):
+                break
+            frame += int(firing[0])
+            macro = [pair for pair in pairs if pair[0] == macro][int(excess[int(firing[0])].argmax())][1]
+            labels[frame:stop] = macro
+            frame += 1
+    return labels
+
+
+def folds_of(n_trajectories: int, folds: int, generator: torch.Generator) -> Int64[Tensor, " trajectories"]:
+    """A fold for every trajectory, at random, as even as can be."""
+    order = torch.randperm(n_trajectories, generator=generator)
+    fold_of = torch.empty(n_trajectories, dtype=torch.int64)
+    fold_of[order] = torch.arange(n_trajectories) % max(1, min(folds, n_trajectories))
+    return fold_of
+
+
+def _examples(
+    pair: tuple[int, int],
+    events: list[Event],
+    fold_of: Int64[Tensor, " trajectories"],
+    left_out: int,
+    n_frames: int,
+    window: int,
+) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
+    """Base weights, half on each side, and targets of one switch function that never sees the fold `left_out`."""
+    weights = torch.zeros(n_frames)
+    targets = torch.zeros(n_frames, dtype=torch.bool)
+    macro, following = pair
+    for event in events:
+        if event.macro != macro or (len(fold_of) > 1 and fold_of[event.trajectory] == left_out):
+            continue
+        weights[event.start : event.stop] = 1
+        if event.following == following:
+            positives = slice(event.stop, min(event.stop + window, event.following_stop))
+            weights[positives] = 1
+            targets[positives] = True
+    for side in (targets, ~targets):
+        weights[side] /= (2 * weights[side].sum()).clamp(min=1)
+    return weights, targets
+
+
+def _peaks(
+    pair: tuple[int, int], events: list[Event], scores: Float[Tensor, " frames"], window: int
+) -> list[tuple[float, float]]:
+    """Highest score before and at the change, for every segment that the pair ends."""
+    peaks = []
+    for event in events:
+        if (event.macro, event.following) == pair:
+            at_change = scores[event.stop : min(event.stop + window, event.following_stop)]
+            peaks.append((float(scores[event.start : event.stop].max()), float(at_change.max())))
+    return peaks
+
+
+def _calibrate(peaks: list[tuple[float, float]]) -> tuple[float, float]:
+    """The threshold under which most segments are left in time, and the share of them that are.
+
+    A segment is left in time where before <= threshold < at. The middle of the widest best range wins; where
+    no threshold serves any segment, zero, the switch function's own decision boundary, stands.
+    """
+    levels = sorted({value for peak in peaks for value in peak})
+    ranges = [
+        (sum(before <= low and high <= at for before, at in peaks), high - low, (low + high) / 2)
+        for low, high in zip(levels, levels[1:], strict=False)
+    ]
+    in_time, _, threshold = max(ranges, default=(0, 0.0, 0.0))
+    return (threshold, in_time / len(peaks)) if in_time else (0.0, 0.0)
