@@ -1,0 +1,262 @@
+"""Runs of a planner in a world, one seed an episode, in parallel processes."""
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from functools import cache, partial
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import gymnasium as gym
+import numpy as np
+from jaxtyping import Float32, Int8, UInt8
+
+import dpmacro.worlds  # noqa: F401  registers the environments
+
+SUCCESS = "success"
+OUTCOMES = (SUCCESS, "red_first", "blue_never_reached", "red_never_reached")
+NO_MACRO = -1
+
+
+@runtime_checkable
+class Planner(Protocol):
+    """What chooses actions in one running environment; `macro`, where it has one, is its macro-action."""
+
+    def reset(self, env: gym.Env) -> None:
+        """Begin an episode of `env`, which was just reset."""
+
+    def act(self, observation: dict[str, Any], info: dict[str, Any]) -> int:
+        """The action to take."""
+
+
+@dataclass(frozen=True)
+class PlannerSource:
+    """Where a planner comes from, small enough to send to another process.
+
+    Attributes:
+        kind: "teacher", or "policy" for a saved `MacroPolicy`.
+        path: folder of the saved policy; None for the teacher.
+    """
+
+    kind: str
+    path: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("teacher", "policy"):
+            raise ValueError(f"planner {self.kind!r} is unknown, there are 'teacher' and 'policy'")
+        if (self.kind == "policy") != (self.path is not None):
+            raise ValueError(f"a policy needs a path and a teacher has none, got {self.kind} and {self.path}")
+
+    def planner(self) -> Planner:
+        """A new planner. Raises ValueError where the policy cannot be read."""
+        if self.path is None:
+            from dpmacro.worlds.teacher import Teacher
+
+            return Teacher()
+        from dpmacro.policy import MacroPolicy
+
+        return MacroPolicy.load(self.path).planner()
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One step of a run.
+
+    Attributes:
+        phase: of the frame that the planner saw.
+        action, macro: what the planner chose; macro-action -1 where it has none.
+        reward: what the action earned.
+        outcome: one of `OUTCOMES` on the last step, "" before.
+        view: the picture for people of the frame the planner saw; None unless rendered.
+    """
+
+    phase: int
+    action: int
+    macro: int
+    reward: float
+    outcome: str
+    view: UInt8[np.ndarray, "height width 3"] | None
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One run of a planner, `steps` long; step t holds what the planner saw and chose at frame t."""
+
+    seed: int
+    outcome: str
+    actions: UInt8[np.ndarray, " steps"]
+    phases: Int8[np.ndarray, " steps"]
+    macros: Int8[np.ndarray, " steps"]
+    rewards: Float32[np.ndarray, " steps"]
+
+    @property
+    def success(self) -> bool:
+        """Whether the world counts the run as a success."""
+        return self.outcome == SUCCESS
+
+    @property
+    def steps(self) -> int:
+        """Number of actions taken."""
+        return len(self.actions)
+
+    @property
+    def reward(self) -> float:
+        """Sum of rewards."""
+        return float(self.rewards.sum())
+
+
+def run_episodes(
+    source: PlannerSource, world: Mapping[str, Any], seeds: Sequence[int], workers: int = 1
+) -> list[Episode]:
+    """All of `iter_episodes`."""
+    with closing(iter_episodes(source, world, seeds, workers)) as episodes:
+        return list(episodes)
+
+
+def iter_episodes(
+    source: PlannerSource, world: Mapping[str, Any], seeds: Sequence[int], workers: int = 1
+) -> Generator[Episode, None, None]:
+    """One episode for every seed, in the order of `seeds`, the same for any number of workers.
+
+    Args:
+        source: the planner; read once per worker.
+        world: {"id": of a registered environment, **its options}; built once per worker.
+        seeds: one per episode.
+        workers: processes; 1 runs in this one. Closing the iterator, or an interrupt, ends them.
+
+    Raises:
+        ValueError: workers < 1, or the planner cannot be read. What a worker raises is raised here.
+    """
+    if workers < 1:
+        raise ValueError(f"workers is {workers}, it must be at least 1")
+    if workers == 1:
+        return _run_here(source, world, seeds)
+    return _run_in_processes(source, world, seeds, min(workers, max(len(seeds), 1)))
+
+
+def replay(
+    source: PlannerSource, world: Mapping[str, Any], seed: int, every: int = 1
+) -> Generator[Moment, None, None]:
+    """The run of `seed` once more, now with pictures, so that other runs need not pay for them.
+
+    Every `every`-th moment is rendered, from the first on; the others have no view.
+    """
+    with _one_thread(), closing(_Stage(source, world, render_mode="rgb_array")) as stage:
+        yield from stage.moments(seed, every)
+
+
+class _Stage:
+    """A world and a planner in it, for one episode after another."""
+
+    def __init__(self, source: PlannerSource, world: Mapping[str, Any], render_mode: str | None = None):
+        options = dict(world)
+        self.planner = source.planner()
+        self.env = gym.make(options.pop("id"), render_mode=render_mode, **options)
+
+    def close(self) -> None:
+        self.env.close()
+
+    def moments(self, seed: int, every: int = 1) -> Generator[Moment]:
+        observation, info = self.env.reset(seed=seed)
+        self.planner.reset(self.env)
+        step, ended = 0, False
+        while not ended:
+            rendered = self.env.render_mode is not None and step % every == 0
+            view = np.asarray(self.env.render()) if rendered else None
+            phase = int(info["phase"])
+            action = int(self.planner.act(observation, info))
+            macro = int(getattr(self.planner, "macro", NO_MACRO))
+            observation, reward, terminated, truncated, info = self.env.step(action)
+            ended = bool(terminated or truncated)
+            step += 1
+            yield Moment(phase, action, macro, float(reward), _outcome(info) if ended else "", view)
+
+    def episode(self, seed: int, stop: Event | None = None) -> Episode:
+        moments = []
+        with _one_thread():
+            for moment in self.moments(seed):
+                moments.append(moment)
+                if stop is not None and stop.is_set():
+                    raise InterruptedError(f"run of seed {seed} stopped after {len(moments)} steps")
+        return Episode(
+            seed=seed,
+            outcome=moments[-1].outcome,
+            actions=np.array([moment.action for moment in moments], np.uint8),
+            phases=np.array([moment.phase for moment in moments], np.int8),
+            macros=np.array([moment.macro for moment in moments], np.int8),
+            rewards=np.array([moment.reward for moment in moments], np.float32),
+        )
+
+
+def _outcome(info: Mapping[str, Any]) -> str:
+    if info["is_success"]:
+        return SUCCESS
+    return info["failure"] or ("red_never_reached" if info["phase"] else "blue_never_reached")
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    # A frame at a time gains nothing from threads, and sums must not depend on how many there are.
+    # The teacher needs no torch, whose import takes longer than an episode.
+    torch = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _run_here(
+    source: PlannerSource, world: Mapping[str, Any], seeds: Sequence[int]
+) -> Generator[Episode, None, None]:
+    with closing(_Stage(source, world)) as stage:
+        for seed in seeds:
+            yield stage.episode(seed)
+
+
+def _run_in_processes(
+    source: PlannerSource, world: Mapping[str, Any], seeds: Sequence[int], workers: int
+) -> Generator[Episode, None, None]:
+    context = multiprocessing.get_context("spawn")
+    stop = context.Event()
+    executor = ProcessPoolExecutor(workers, context, _start_worker, (source, dict(world), stop))
+    try:
+        yield from executor.map(_run_in_worker, seeds)
+    finally:
+        stop.set()
+        executor.shutdown(cancel_futures=True)
+
+
+# A worker process's world and planner, made with its first episode, and the parent's word to stop.
+_stage: Callable[[], _Stage]
+_stop: Event
+
+
+def _start_worker(source: PlannerSource, world: dict[str, Any], stop: Event) -> None:
+    # Nothing that may fail is done here: an initializer's exception would break the pool and hide itself.
+    global _stage, _stop
+    _stage, _stop = cache(partial(_Stage, source, world)), stop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is interrupted too, and says when to stop
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _run_in_worker(seed: int) -> Episode:
+    return _stage().episode(seed, _stop)

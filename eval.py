@@ -1,0 +1,237 @@
+"""Run a saved policy, or the teacher, in its world and count successes.
+
+    python eval.py --policy.path=outputs/train/.../checkpoints/last/pretrained_model --workers=2
+    python eval.py --policy.type=teacher --world.flags=fixed --videos=3
+
+Prints successes, their rate with its 95% interval and how the failures split, and writes the same to
+`eval_info.json` in LeRobot's form, TensorBoard scalars beside it.
+"""
+
+import json
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from dpmacro import cli
+from dpmacro.files import replacing
+from dpmacro.metrics import SuccessSummary, success_summary
+from dpmacro.rollouts import NO_MACRO, Episode, Moment, PlannerSource, iter_episodes, replay
+from dpmacro.worlds.two_flags import ACTIONS, TwoFlagsConfig
+
+# Every worker process imports this file again: what only the parent needs is imported where it is used.
+
+WORLD = "TwoFlags-v0"
+
+VIDEO_EVERY = 4
+
+# The world's own options, each None unless given, so that those a policy was trained with stay.
+if TYPE_CHECKING:
+    WorldOptions = TwoFlagsConfig
+else:
+    WorldOptions = make_dataclass(
+        "WorldOptions",
+        [(option.name, option.type | None, field(default=None)) for option in fields(TwoFlagsConfig)],
+        namespace={"__doc__": "Options of the world; those not given stay as the policy was trained with."},
+        frozen=True,
+    )
+
+
+@dataclass(frozen=True)
+class PolicyOptions:
+    """What runs: a saved policy or the teacher."""
+
+    path: Path | None = None
+    """Folder `pretrained_model` of a training run."""
+    type: str | None = None
+    """`teacher` for the teacher, instead of a path."""
+
+
+@dataclass(frozen=True)
+class EvalOptions:
+    """Options of eval.py."""
+
+    policy: PolicyOptions = field(default_factory=PolicyOptions)
+    world: WorldOptions = field(default_factory=WorldOptions)
+    episodes: int = 100
+    """Runs, each with its own seed."""
+    seed: int = 1000
+    """Seed of the first run; the others follow it."""
+    workers: int = 1
+    """Processes that share the runs; the results do not depend on it."""
+    videos: int = 0
+    """Runs to write as MP4 at four times their speed, failed ones first."""
+    output_dir: Path | None = None
+    """Folder for results; by default outputs/eval/<date>/<time>_<job_name>."""
+    job_name: str | None = None
+    """Name of the evaluation; by default that of what runs."""
+
+    def __post_init__(self) -> None:
+        if (self.policy.path is None) == (self.policy.type is None):
+            raise ValueError("give either --policy.path=<a run's pretrained_model> or --policy.type=teacher")
+        if self.policy.type not in (None, "teacher"):
+            raise ValueError(
+                f"--policy.type={self.policy.type} is unknown: choose teacher or give a --policy.path"
+            )
+        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"--{name}={getattr(self, name)}: it must be at least {least}")
+
+
+def main(options: EvalOptions) -> None:
+    source, name, stored = planner(options.policy)
+    given = {option: value for option, value in vars(options.world).items() if value is not None}
+    world = {"id": WORLD, **asdict(TwoFlagsConfig(**{**stored, **given}))}
+    output_dir = options.output_dir or default_output_dir(options.job_name or name)
+    if (output_dir / "eval_info.json").exists():
+        raise ValueError(f"{output_dir} already holds an eval_info.json: give another --output_dir")
+
+    started = time.perf_counter()
+    episodes = run(source, world, range(options.seed, options.seed + options.episodes), options.workers)
+    seconds = time.perf_counter() - started
+    summary = success_summary(
+        [episode.outcome for episode in episodes],
+        [int(episode.phases[-1]) for episode in episodes],
+        [int(episode.macros[-1]) for episode in episodes],
+    )
+    print(report(summary, seconds))
+    videos = write_videos(source, world, episodes, options.videos, output_dir / "videos" / f"{WORLD}_0")
+    info = eval_info(episodes, summary, seconds, videos)
+    info["dpmacro"].update(planner=name, policy_path=source.path and str(source.path), world=world)
+    with replacing(output_dir / "eval_info.json") as path:
+        path.write_text(json.dumps(info, indent=2) + "\n")
+    write_scalars(info["overall"], output_dir / "tensorboard")
+    print(f"written to  {output_dir}")
+
+
+def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]:
+    """What runs, its name, and the options of the world it was trained in."""
+    if options.path is None:
+        return PlannerSource("teacher"), "teacher", {}
+    from dpmacro.policy import MacroPolicy
+
+    config = MacroPolicy.load(options.path).config
+    # JSON knows no tuples, which the world's options hold.
+    stored = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in config.world.items()
+    }
+    world = stored.pop("id", None)
+    if world != WORLD:
+        raise ValueError(f"{options.path} is a policy for the world {world!r}: eval.py runs {WORLD!r} only")
+    unknown = sorted(set(stored) - {option.name for option in fields(TwoFlagsConfig)})
+    if unknown:
+        raise ValueError(f"{options.path} was trained in a {WORLD} with {unknown[0]!r}, which this one lacks")
+    return PlannerSource("policy", options.path), config.type, stored
+
+
+def default_output_dir(job_name: str) -> Path:
+    """LeRobot's place for an evaluation."""
+    return Path("outputs/eval") / datetime.now().strftime(f"%Y-%m-%d/%H-%M-%S_{job_name}")
+
+
+def run(source: PlannerSource, world: dict[str, Any], seeds: Sequence[int], workers: int) -> list[Episode]:
+    """The runs of all seeds, with a progress bar that shows the success rate so far."""
+    episodes: list[Episode] = []
+    with (
+        closing(iter_episodes(source, world, seeds, workers)) as running,
+        tqdm(running, "Evaluating", len(seeds), unit="run") as bar,
+    ):
+        for episode in bar:
+            episodes.append(episode)
+            bar.set_postfix_str(f"success {sum(done.success for done in episodes) / len(episodes):.0%}")
+    return episodes
+
+
+def report(summary: SuccessSummary, seconds: float) -> str:
+    """The result for people."""
+    low, high = summary.interval
+    lines = [
+        f"successes   {summary.successes} of {summary.runs} runs",
+        f"rate        {summary.rate:.1%}, 95% Wilson interval {low:.1%} to {high:.1%}",
+        f"time        {seconds:.1f} s, {seconds / summary.runs:.2f} s a run",
+        f"failures    {summary.runs - summary.successes}",
+    ]
+    for (outcome, phase, macro), count in summary.endings.items():
+        doing = "" if macro == NO_MACRO else f", macro-action {macro}"
+        lines.append(f"{count:>7}     {outcome.replace('_', ' '):<20} in phase {phase}{doing}")
+    return "\n".join(lines)
+
+
+def write_videos(
+    source: PlannerSource, world: dict[str, Any], episodes: Sequence[Episode], count: int, folder: Path
+) -> list[str]:
+    """Replay up to `count` runs, failed ones first, into MP4s; their paths."""
+    if count == 0:
+        return []
+    from dpmacro.videos import write_run
+
+    chosen = sorted(range(len(episodes)), key=lambda index: episodes[index].success)[:count]
+    paths = [folder / f"eval_episode_{index}.mp4" for index in chosen]
+    steps = sum(episodes[index].steps for index in chosen)
+    with tqdm(desc="Writing videos", total=steps, unit="step") as bar:
+        for index, path in zip(chosen, paths, strict=True):
+            with closing(replay(source, world, episodes[index].seed, VIDEO_EVERY)) as moments:
+                write_run(path, counted(moments, bar), ACTIONS)
+    return [str(path) for path in paths]
+
+
+def counted(moments: Iterable[Moment], bar: tqdm) -> Iterator[Moment]:
+    """The moments as they come, each moving the bar on."""
+    for moment in moments:
+        yield moment
+        bar.update()
+
+
+def eval_info(
+    episodes: Sequence[Episode], summary: SuccessSummary, seconds: float, videos: Sequence[str]
+) -> dict[str, Any]:
+    """Results in the form of LeRobot's eval_info.json, with a section of our own."""
+    sums = [episode.reward for episode in episodes]
+    largest = [float(episode.rewards.max()) for episode in episodes]
+    group = {
+        "avg_sum_reward": sum(sums) / len(sums),
+        "avg_max_reward": sum(largest) / len(largest),
+        "pc_success": 100 * summary.rate,
+        "n_episodes": len(episodes),
+        "video_paths": list(videos),
+    }
+    metrics = {
+        "sum_rewards": sums,
+        "max_rewards": largest,
+        "successes": [episode.success for episode in episodes],
+        "video_paths": list(videos),
+    }
+    return {
+        "per_task": [{"task_group": WORLD, "task_id": 0, "metrics": metrics}],
+        "per_group": {WORLD: group},
+        "overall": {**group, "eval_s": seconds, "eval_ep_s": seconds / len(episodes)},
+        "dpmacro": {
+            "seeds": [episode.seed for episode in episodes],
+            "outcomes": [episode.outcome for episode in episodes],
+            "steps": [episode.steps for episode in episodes],
+            "interval_95": list(summary.interval),
+            "failures": [
+                {"outcome": outcome, "phase": phase, "macro": macro, "runs": runs}
+                for (outcome, phase, macro), runs in summary.endings.items()
+            ],
+        },
+    }
+
+
+def write_scalars(overall: dict[str, Any], folder: Path) -> None:
+    """The overall numbers as TensorBoard scalars, eval/pc_success and the like."""
+    from torch.utils.tensorboard import SummaryWriter
+
+    with SummaryWriter(str(folder)) as writer:
+        for name, value in overall.items():
+            if name != "video_paths":
+                writer.add_scalar(f"eval/{name}", value, 0)
+
+
+if __name__ == "__main__":
+    cli.run(main, EvalOptions)
