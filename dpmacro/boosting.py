@@ -5,15 +5,29 @@ lowers sum_n d_{n,p} sum_m exp(-y_{n,p}^m f_p^m(x_n)), where d is the frame's ba
 The macro-classes of DPBoost, the baseline and the switch functions are all problems of this kind.
 """
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from dpmacro.learners import StrongClassifier, WeakLearner
 
-__all__ = ["MARGIN_LIMIT", "Boosting", "class_targets"]
+__all__ = ["MARGIN_LIMIT", "Boosting", "Round", "class_targets"]
 
 MARGIN_LIMIT = 18.0  # exp(18) = 6.6e7: prefix sums of such costs keep 1e-5 in float64
+
+
+@dataclass(frozen=True)
+class Round:
+    """What a boosting round reports to whoever watches."""
+
+    stage: str  # discover | fit | switch
+    number: int  # from 1
+    total: int
+    loss: float  # exponential loss per frame; of the best restart while discovering
+    accuracy: float  # share of training frames whose class is right, likewise
+    labels: Int64[Tensor, " frames"] | None  # macro-labels, likewise; None for switch functions
 
 
 class Boosting:

@@ -25,7 +25,7 @@ def parse(config_class: type[Config], arguments: Sequence[str] | None = None) ->
     dataclass itself refuses.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    parser: ArgumentParser = ArgumentParser(config_class)
+    parser: ArgumentParser = ArgumentParser(config_class, allow_abbrev=False)
 
     def fail(message: str) -> NoReturn:
         raise ValueError(_with_suggestion(message, parser))

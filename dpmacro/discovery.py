@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
-from dpmacro.boosting import Boosting, class_targets
+from dpmacro.boosting import Boosting, Round, class_targets
 from dpmacro.features import Quantiser
 from dpmacro.initial import feature_peaks, random_cuts
 from dpmacro.learners import StrongClassifier, WeakLearner
@@ -23,20 +23,9 @@ from dpmacro.learners.stumps import SortedLevels, StumpLearner
 from dpmacro.segmentation import segment
 from dpmacro.selection import Verdict, distinct, judge
 
-__all__ = ["Candidates", "DPBoost", "DPBoostResult", "Round"]
+__all__ = ["Candidates", "DPBoost", "DPBoostResult"]
 
 ROUNDING = 1e-4  # relative; scores are float32
-
-
-@dataclass(frozen=True)
-class Round:
-    """What a boosting round reports."""
-
-    stage: str  # discover | fit
-    number: int  # from 1
-    total: int
-    loss: float  # objective per frame, of the best restart while discovering
-    labels: Int64[Tensor, " frames"]  # of that restart
 
 
 @dataclass(frozen=True)
@@ -105,7 +94,12 @@ class DPBoost:
         warmup: int = 30,
         candidates: int = 48,
     ) -> None:
-        counts = {"macros": macros, "rounds": rounds, "restarts": restarts, "discovery_rounds": discovery_rounds}
+        counts = {
+            "macros": macros,
+            "rounds": rounds,
+            "restarts": restarts,
+            "discovery_rounds": discovery_rounds,
+        }
         for name, value in {**counts, "candidates": candidates}.items():
             if value < 1:
                 raise ValueError(f"{name} is {value}: give 1 or more")
@@ -166,11 +160,15 @@ class DPBoost:
         values = torch.as_tensor(features).to(self.device).T.contiguous()
         if values.is_floating_point() and not bool(values.isfinite().all()):
             column, frame = (~values.isfinite()).nonzero()[0].tolist()
-            raise ValueError(f"feature {column} of frame {frame} is {values[column, frame]}: features must be finite")
+            raise ValueError(
+                f"feature {column} of frame {frame} is {values[column, frame]}: features must be finite"
+            )
         quantiser = Quantiser.fit(values)
         return SortedLevels.build(quantiser.levels(values)), quantiser
 
-    def _boosting(self, learner: WeakLearner, task: _Task, restarts: int, generator: torch.Generator) -> Boosting:
+    def _boosting(
+        self, learner: WeakLearner, task: _Task, restarts: int, generator: torch.Generator
+    ) -> Boosting:
         targets = class_targets(task.actions, task.n_actions)
         return Boosting(learner, targets, restarts * self.macros, self.shrinkage, generator)
 
@@ -212,12 +210,17 @@ class DPBoost:
             boosting.round(held.transpose(0, 1).flatten(1))
             costs = boosting.losses().unflatten(1, (restarts, self.macros)).transpose(0, 1)
             if number > self.warmup and self.macros > 1:
-                labels = segment(costs.flatten(0, 1), repeated, self.max_transitions).labels.view(restarts, n_frames)
+                labels = segment(costs.flatten(0, 1), repeated, self.max_transitions).labels.view(
+                    restarts, n_frames
+                )
             loss.append(costs.gather(2, labels[:, :, None]).double().mean((1, 2)))
             risen = loss[-1] > loss[max(len(loss) - 2, 0)] * (1 + ROUNDING)
             assert not bool(risen.any()), f"the objective rose in round {number} of {stage}"
             best = int(loss[-1].argmin())
-            on_round(Round(stage, number, rounds, float(loss[-1][best]), labels[best]))
+            held_by = best * self.macros + labels[best]
+            chosen = boosting.scores[torch.arange(n_frames, device=self.device), held_by].argmax(1)
+            accuracy = float((chosen == task.actions).float().mean())
+            on_round(Round(stage, number, rounds, float(loss[-1][best]), accuracy, labels[best]))
         return Candidates(labels.cpu(), torch.stack(loss).cpu())
 
     def _choose(
@@ -229,14 +232,18 @@ class DPBoost:
         if len(task.lengths) < 2:
             return candidates.labels[order[:1]], {}
         learner = StumpLearner(data, candidates=self.candidates)
-        verdicts = judge(learner, task.actions, task.lengths, candidates.labels[order], task.n_actions, generator)
+        verdicts = judge(
+            learner, task.actions, task.lengths, candidates.labels[order], task.n_actions, generator
+        )
         best = min(range(len(order)), key=lambda k: verdicts[k].causal_error)
         return candidates.labels[order[best : best + 1]], dict(zip(order.tolist(), verdicts, strict=True))
 
 
 def _check(data: SortedLevels, actions: Tensor, lengths: Tensor, macros: int) -> None:
     if len(actions) == 0 or data.n_frames != len(actions):
-        raise ValueError(f"features have {data.n_frames} frames and actions {len(actions)}: give one action per frame")
+        raise ValueError(
+            f"features have {data.n_frames} frames and actions {len(actions)}: give one action per frame"
+        )
     if int(lengths.sum()) != len(actions) or int(lengths.min()) < 1:
         raise ValueError(f"lengths {lengths.tolist()} must be positive and add up to {len(actions)} frames")
     if int(actions.min()) < 0:

@@ -7,7 +7,7 @@ is exact: it does not depend on the batch, the device or the order of summation.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Int32, Int64, Num, UInt8
@@ -31,6 +31,7 @@ CHUNK_FRAMES = 32  # so many frames' integral images stay in the cache
 CHUNK_COLUMNS = 256
 
 
+@runtime_checkable
 class FeatureSet(Protocol):
     """Numbers computed from a frame and the frame before it."""
 

@@ -27,7 +27,9 @@ class Segmentation:
 
     labels: Int64[Tensor, " frames"]  # 0..Q-1
     cost: Float[Tensor, " trajectories"]  # of these labels, transition costs included; float64
-    cost_by_bound: Float[Tensor, "trajectories bounds"]  # best cost with at most s = 0..S transitions; float64
+    cost_by_bound: Float[
+        Tensor, "trajectories bounds"
+    ]  # best cost with at most s = 0..S transitions; float64
 
 
 def segment(

@@ -46,7 +46,9 @@ def judge(
     Raises ValueError with fewer than two trajectories: there is nothing to leave out.
     """
     if len(lengths) < 2:
-        raise ValueError(f"{len(lengths)} trajectory: judging a segmentation leaves trajectories out, give two or more")
+        raise ValueError(
+            f"{len(lengths)} trajectory: judging a segmentation leaves trajectories out, give two or more"
+        )
     n_candidates, n_macros = len(candidates), int(candidates.max()) + 1
     fold_of = folds_of(len(lengths), FOLDS, generator).repeat_interleave(lengths)
     n_folds = int(fold_of.max()) + 1
@@ -76,9 +78,7 @@ def judge(
     return verdicts
 
 
-def distinct(
-    candidates: Int64[Tensor, "candidates frames"], similar: float = 0.99
-) -> Int64[Tensor, " kept"]:
+def distinct(candidates: Int64[Tensor, "candidates frames"], similar: float = 0.99) -> Int64[Tensor, " kept"]:
     """The first of every group of candidates that agree on `similar` of the frames, labels taken as named."""
     kept: list[int] = []
     for c, labels in enumerate(candidates):

@@ -5,16 +5,25 @@ from the change on (positives) from the frames of q (negatives), both sides weig
 threshold is calibrated on trajectories that its training left out.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from dpmacro.boosting import Boosting
+from dpmacro.boosting import Boosting, Round
 from dpmacro.learners import StrongClassifier, WeakLearner
 
-__all__ = ["Event", "SwitchFunctions", "causal_labels", "fit_switches", "folds_of", "macro_segments", "starting_macro"]
+__all__ = [
+    "Event",
+    "SwitchFunctions",
+    "causal_labels",
+    "fit_switches",
+    "folds_of",
+    "macro_segments",
+    "starting_macro",
+]
 
 
 @dataclass(frozen=True)
@@ -23,8 +32,12 @@ class SwitchFunctions:
 
     pairs: list[tuple[int, int]]  # (from, to)
     thresholds: Float[Tensor, " switches"]
-    detected: Float[Tensor, " switches"]  # share of left-out segments in which it fires at the change, never before
-    held_out: Float[Tensor, "frames switches"]  # score of every frame by a function that never saw its trajectory
+    detected: Float[
+        Tensor, " switches"
+    ]  # share of left-out segments in which it fires at the change, never before
+    held_out: Float[
+        Tensor, "frames switches"
+    ]  # score of every frame by a function that never saw its trajectory
     classifier: StrongClassifier | None  # one binary problem per switch; None where nothing ever changes
 
 
@@ -71,6 +84,7 @@ def fit_switches(
     rounds: int = 60,
     shrinkage: float = 0.2,
     folds: int = 5,
+    on_round: Callable[[Round], None] = lambda _: None,
 ) -> SwitchFunctions:
     """Fit a switch function for every change of macro-label that the trajectories show.
 
@@ -79,9 +93,11 @@ def fit_switches(
         labels, lengths: the segmentation.
         window: J >= 1, the positive frames from a change on.
         rounds: boosting rounds.
+        shrinkage: factor in (0, 1] on every weak hypothesis.
         folds: parts that trajectories are dealt into by `generator`; each part is scored by a switch function
             that never saw it. The threshold is the middle of the widest range in which most left-out
             segments fire within the J frames of their change and not before.
+        on_round: called after every round with the balanced loss and accuracy over all of them.
 
     All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
     be left out, and the calibration uses the training scores.
@@ -95,7 +111,11 @@ def fit_switches(
     fold_of = folds_of(len(lengths), folds, generator)
     n_fits = int(fold_of.max()) + 2 if len(lengths) > 1 else 1  # the last one sees every trajectory
     weights, targets = zip(
-        *(_examples(pair, events, fold_of, fold, learner.n_frames, window) for pair in pairs for fold in range(n_fits)),
+        *(
+            _examples(pair, events, fold_of, fold, learner.n_frames, window)
+            for pair in pairs
+            for fold in range(n_fits)
+        ),
         strict=True,
     )
     n_problems = len(pairs) * n_fits
@@ -103,8 +123,12 @@ def fit_switches(
         learner, torch.stack(targets, 1)[:, :, None].to(learner.device), n_problems, shrinkage, generator
     )
     base = torch.stack(weights, 1).to(learner.device)
-    for _ in range(rounds):
+    for number in range(1, rounds + 1):
         boosting.round(base)
+        right = ((boosting.scores > 0) == boosting.targets)[:, :, 0]
+        accuracy = float((base * right).sum() / n_problems)
+        loss = float((base * boosting.losses()).sum() / n_problems)
+        on_round(Round("switch", number, rounds, loss, accuracy, None))
     scores = boosting.scores[:, :, 0].cpu().unflatten(1, (len(pairs), n_fits))
     own_fit = fold_of.clamp(max=n_fits - 1).repeat_interleave(lengths)
     held_out = scores.gather(2, own_fit[:, None, None].expand(-1, len(pairs), 1)).squeeze(2)

@@ -4,13 +4,14 @@ A round fits many independent problems at once (a problem is a macro-class, a re
 switch function, a cross-validation fold). All problems share the frames; their weights differ.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 
+@runtime_checkable
 class StrongClassifier(Protocol):
     """A sum of weak hypotheses for every problem, as fitted."""
 
@@ -27,6 +28,7 @@ class StrongClassifier(Protocol):
         ...
 
 
+@runtime_checkable
 class WeakLearner(Protocol):
     """Fits one weak hypothesis per problem to weighted frames, and applies it to them."""
 

@@ -31,7 +31,9 @@ class SortedLevels:
             chunk = slice(first, first + CHUNK_COLUMNS)
             ordered, order = levels[chunk].sort(dim=1, stable=True)
             frames[chunk] = order.to(torch.int32)
-            starts[chunk] = torch.searchsorted(ordered, marks.expand(len(ordered), -1).contiguous(), out_int32=True)
+            starts[chunk] = torch.searchsorted(
+                ordered, marks.expand(len(ordered), -1).contiguous(), out_int32=True
+            )
         return cls(levels, frames, starts)
 
     @property
@@ -189,7 +191,9 @@ class StumpLearner:
         return sums.unflatten(0, (len(columns), LEVELS))
 
 
-def _loss(below: Float[Tensor, "columns levels 2 problems classes"]) -> Float[Tensor, "columns levels problems"]:
+def _loss(
+    below: Float[Tensor, "columns levels 2 problems classes"],
+) -> Float[Tensor, "columns levels problems"]:
     """Z / 2 of every threshold: sqrt(W+ W-) summed over the two sides and the classes."""
     above = below[:, -1:] - below
     products = below[:, :, 0] * below[:, :, 1], above[:, :, 0] * above[:, :, 1]

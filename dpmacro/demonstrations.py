@@ -1,0 +1,167 @@
+"""Demonstrations: what was seen and which action was taken, frame after frame, read from LeRobot datasets."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int64, UInt8
+
+from dpmacro.decoding import DatasetError, decode_images
+from dpmacro.lerobot_v3 import StoredDataset
+
+__all__ = ["DatasetError", "Demonstrations"]
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """Trajectories, concatenated frame by frame; `lengths` says where each ends.
+
+    Attributes:
+        images: what the planner sees, RGB.
+        actions: the action taken at that sight, 0..M-1.
+        lengths: frames per trajectory, at least 2.
+        action_names: M names; the numbers as text where the dataset names none.
+        fps: frames per second.
+        phase: the true macro-label, for metrics only; None where the data has none.
+        world: {"id": "TwoFlags-v0", **options} of the world recorded from; {} where the data does not say.
+        root: the dataset's folder.
+    """
+
+    images: UInt8[np.ndarray, "frames height width 3"]
+    actions: Int64[np.ndarray, " frames"]
+    lengths: Int64[np.ndarray, " trajectories"]
+    action_names: tuple[str, ...]
+    fps: int
+    phase: Int64[np.ndarray, " frames"] | None
+    world: dict[str, Any]
+    root: Path
+
+    @classmethod
+    def load(
+        cls, root: str | Path, episodes: Sequence[int] | None = None, camera: str | None = None
+    ) -> "Demonstrations":
+        """Reads a LeRobot v3 dataset with discrete actions, without touching the network.
+
+        Actions are `discrete_action` where there is one, else `action`: whole numbers, or one-hot vectors.
+        `episodes` chooses some, in the order given; `camera` names the image feature where there are several
+        (it may stay None where exactly one of them is stored as images rather than video).
+
+        Raises DatasetError, one line that names folder, value and remedy, for anything it cannot read as
+        demonstrations of at least two frames each.
+        """
+        root = Path(root)
+        store = StoredDataset.open(root)
+        chosen = store.choose(episodes)
+        for row in chosen:
+            if row["length"] < 2:
+                raise DatasetError(
+                    f"dataset {root}: episode {row['episode_index']} has {row['length']} frame; "
+                    "dpmacro needs at least two frames per episode"
+                )
+        camera = _choose_camera(store, camera)
+        stored_as_image = store.features[camera]["dtype"] == "image"
+        names = [name for name in ("action", "discrete_action", "phase") if name in store.features]
+        columns = store.columns([*names, camera] if stored_as_image else names, chosen)
+        actions, action_names = _discrete_actions(store, columns)
+        return cls(
+            images=decode_images(columns[camera], f"dataset {root}, {camera}")
+            if stored_as_image
+            else store.video(camera, chosen),
+            actions=actions,
+            lengths=np.array([row["length"] for row in chosen], np.int64),
+            action_names=action_names,
+            fps=int(store.info["fps"]),
+            phase=columns["phase"].astype(np.int64) if "phase" in columns else None,
+            world=store.world,
+            root=root,
+        )
+
+    @property
+    def trajectories(self) -> list[slice]:
+        """The frames of each trajectory."""
+        ends = np.cumsum(self.lengths).tolist()
+        return [slice(end - length, end) for end, length in zip(ends, self.lengths.tolist(), strict=True)]
+
+    def select(self, trajectory_indices: Sequence[int] | Int64[np.ndarray, " chosen"]) -> "Demonstrations":
+        """The given trajectories (0..I-1, any order, repeats allowed) as demonstrations of their own.
+
+        Raises ValueError where there is none, or one that does not exist.
+        """
+        chosen = [int(index) for index in trajectory_indices]
+        wrong = [index for index in chosen if not 0 <= index < len(self.lengths)]
+        if wrong or not chosen:
+            raise ValueError(f"trajectories {wrong or chosen}: choose from 0..{len(self.lengths) - 1}")
+        slices = self.trajectories
+        frames = np.concatenate([np.arange(slices[index].start, slices[index].stop) for index in chosen])
+        return replace(
+            self,
+            images=self.images[frames],
+            actions=self.actions[frames],
+            lengths=self.lengths[chosen],
+            phase=None if self.phase is None else self.phase[frames],
+        )
+
+
+def _choose_camera(store: StoredDataset, camera: str | None) -> str:
+    """The image feature that the planner sees."""
+    cameras = [name for name, feature in store.features.items() if feature["dtype"] in ("image", "video")]
+    if not cameras:
+        raise DatasetError(f"dataset {store.root}: has no image feature; dpmacro learns from images")
+    if camera is not None:
+        if camera not in cameras:
+            raise DatasetError(f"dataset {store.root}: no camera {camera!r}; it has {', '.join(cameras)}")
+        return camera
+    lossless = [name for name in cameras if store.features[name]["dtype"] == "image"]
+    for only in (cameras, lossless):
+        if len(only) == 1:
+            return only[0]
+    raise DatasetError(f"dataset {store.root}: several cameras, {', '.join(cameras)}; name one as camera")
+
+
+def _discrete_actions(
+    store: StoredDataset, columns: dict[str, np.ndarray]
+) -> tuple[Int64[np.ndarray, " frames"], tuple[str, ...]]:
+    """Actions 0..M-1 and their M names, from whichever of the two columns is discrete."""
+    where = f"dataset {store.root}"
+    name = "discrete_action" if "discrete_action" in columns else "action"
+    if name not in columns:
+        raise DatasetError(f"{where}: has no action feature; dpmacro learns from actions")
+    actions, vectors = columns[name], columns.get("action")
+    if actions.ndim == 2:
+        return _from_one_hot(actions, where), _names(store.features[name], actions.shape[1])
+    if not np.issubdtype(actions.dtype, np.integer):
+        raise DatasetError(f"{where}: continuous actions (first {actions[0]:g}); dpmacro needs discrete ones")
+    if vectors is not None and vectors.ndim == 2 and np.isin(vectors, (0, 1)).all():
+        names = _names(store.features["action"], vectors.shape[1])
+    else:  # numbers without names: the statistics know actions that the chosen episodes lack
+        largest = max(int(actions.max()), store.largest(name))
+        names = tuple(str(action) for action in range(largest + 1))
+    outside = np.flatnonzero((actions < 0) | (actions >= len(names)))
+    if len(outside):
+        frame = outside[0]
+        raise DatasetError(
+            f"{where}: {name} {actions[frame]} of frame {frame} is outside 0..{len(names) - 1}"
+        )
+    return actions.astype(np.int64), names
+
+
+def _from_one_hot(vectors: np.ndarray, where: str) -> Int64[np.ndarray, " frames"]:
+    """The position of the one in every row."""
+    if not np.isin(vectors, (0, 1)).all():
+        raise DatasetError(f"{where}: continuous actions (first {vectors[0]}); dpmacro needs discrete ones")
+    wrong = np.flatnonzero(vectors.sum(axis=1) != 1)
+    if len(wrong):
+        raise DatasetError(f"{where}: action {vectors[wrong[0]]} of frame {wrong[0]} is not one-hot")
+    return vectors.argmax(axis=1).astype(np.int64)
+
+
+def _names(feature: dict[str, Any], count: int) -> tuple[str, ...]:
+    """The names of a vector feature's entries, a list or LeRobot's {"motors": list}; else their numbers."""
+    names = feature.get("names")
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    if isinstance(names, list) and len(names) == count:
+        return tuple(str(name) for name in names)
+    return tuple(str(action) for action in range(count))

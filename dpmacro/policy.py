@@ -1,0 +1,215 @@
+"""MacroPolicy: strong classifiers and switch functions that turn images into actions; saved and read back."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from jaxtyping import Int64, UInt8
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from dpmacro.features import FeatureSet, Quantiser, features_from
+from dpmacro.files import replacing
+from dpmacro.learners.stumps import StumpClassifier
+
+__all__ = ["MacroPlanner", "MacroPolicy", "PolicyConfig", "PolicyState"]
+
+CONFIG_NAME = "config.json"
+WEIGHTS_NAME = "model.safetensors"
+
+
+@dataclass(frozen=True)
+class PolicyConfig:
+    """What a policy is, beside its numbers."""
+
+    type: str  # dpboost | baseline
+    macros: int  # Q
+    first_macro: int  # the macro-action that a run starts in
+    action_names: tuple[str, ...]
+    image_shape: tuple[int, int]  # height, width
+    features: str  # kind of feature set
+    switches: tuple[tuple[int, int], ...] = ()  # (from, to) of every switch function
+    thresholds: tuple[float, ...] = ()  # a switch function fires above its own
+    world: dict[str, Any] = field(default_factory=dict)  # {"id": ..., **options} of the demonstrations
+
+
+@dataclass
+class PolicyState:
+    """Where every running environment of a batch stands."""
+
+    macro: Int64[Tensor, " batch"]
+    previous: UInt8[Tensor, "batch height width 3"] | None = None  # None before the first frame
+
+
+@dataclass(frozen=True)
+class MacroPolicy:
+    """At every frame the switch functions of the current macro-action, then its strong classifier, decide.
+
+    The highest switch function above its threshold changes the macro-action; the action with the highest
+    f_q^m(x) is taken (Section IV of the paper).
+    """
+
+    config: PolicyConfig
+    features: FeatureSet  # just the columns that some stump looks at
+    quantiser: Quantiser
+    actor: StumpClassifier  # problems are macro-actions, classes are actions
+    switcher: StumpClassifier | None  # problems are config.switches, one class
+
+    @classmethod
+    def compact(
+        cls,
+        config: PolicyConfig,
+        features: FeatureSet,
+        quantiser: Quantiser,
+        actor: StumpClassifier,
+        switcher: StumpClassifier | None,
+    ) -> "MacroPolicy":
+        """The policy over all columns of the training data, reduced to the columns that it uses."""
+        parts = [actor] if switcher is None else [actor, switcher]
+        used = torch.cat([part.used_columns() for part in parts]).unique()
+        return cls(
+            config,
+            features.select(used),
+            quantiser.select(used),
+            actor.renumbered(used),
+            None if switcher is None else switcher.renumbered(used),
+        )
+
+    def initial_state(self, batch: int) -> PolicyState:
+        """The state of `batch` environments before their first frame."""
+        device = self.actor.votes.device
+        return PolicyState(torch.full((batch,), self.config.first_macro, dtype=torch.int64, device=device))
+
+    @torch.no_grad()
+    def act(
+        self, images: UInt8[Tensor, "batch height width 3"], state: PolicyState
+    ) -> tuple[Int64[Tensor, " batch"], PolicyState]:
+        """The action of every environment and its state after this frame.
+
+        Raises ValueError where the images are not of the size the policy was trained on.
+        """
+        if tuple(images.shape[1:]) != (*self.config.image_shape, 3):
+            wanted = "x".join(map(str, (*self.config.image_shape, 3)))
+            raise ValueError(
+                f"an image is {'x'.join(map(str, images.shape[1:]))}: the policy was trained on {wanted}"
+            )
+        previous = images if state.previous is None else state.previous
+        levels = self.quantiser.levels(self.features.values(images, previous))
+        macro = self._switch(levels, state.macro)
+        scores = self.actor.scores(levels)
+        actions = scores[torch.arange(len(macro), device=macro.device), macro].argmax(1)
+        return actions, PolicyState(macro, images)
+
+    def _switch(self, levels: UInt8[Tensor, "columns batch"], macro: Int64[Tensor, " batch"]) -> Tensor:
+        if self.switcher is None:
+            return macro
+        sources, targets = torch.tensor(self.config.switches, device=macro.device).unbind(1)
+        thresholds = torch.tensor(self.config.thresholds, device=macro.device)
+        excess = self.switcher.scores(levels)[:, :, 0] - thresholds
+        excess = excess.masked_fill(sources != macro[:, None], -torch.inf)
+        highest = excess.max(1)
+        return torch.where(highest.values > 0, targets[highest.indices], macro)
+
+    def planner(self) -> "MacroPlanner":
+        """A planner for one running environment."""
+        return MacroPlanner(self)
+
+    def to(self, device: str | torch.device) -> "MacroPolicy":
+        """The policy with its tensors on `device`."""
+        tensors = {name: tensor.to(device) for name, tensor in self._tensors().items()}
+        return _assemble(self.config, tensors)
+
+    def save(self, folder: Path) -> None:
+        """Write config.json and model.safetensors into `folder`, each under a temporary name first."""
+        tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in self._tensors().items()}
+        with replacing(folder / WEIGHTS_NAME) as path:
+            save_file(tensors, path)
+        with replacing(folder / CONFIG_NAME) as path:
+            path.write_text(json.dumps(asdict(self.config), indent=2) + "\n")
+
+    @classmethod
+    def load(cls, folder: Path, device: str | torch.device = "cpu") -> "MacroPolicy":
+        """Read a policy that `save` wrote.
+
+        Raises ValueError naming the file where it is missing, unreadable or does not fit the other one.
+        """
+        for name in (CONFIG_NAME, WEIGHTS_NAME):
+            if not (folder / name).is_file():
+                raise ValueError(
+                    f"{folder} holds no {name}: give the pretrained_model folder of a training run"
+                )
+        config = _read_config(folder / CONFIG_NAME)
+        try:
+            tensors = load_file(folder / WEIGHTS_NAME, device=str(device))
+            return _assemble(config, tensors)
+        except (SafetensorError, KeyError, TypeError, OSError) as error:
+            raise ValueError(
+                f"{folder / WEIGHTS_NAME} cannot be read ({error}): train or copy it again"
+            ) from error
+
+    def _tensors(self) -> dict[str, Tensor]:
+        groups = {"features": self.features.tensors(), "actor": self.actor.tensors()}
+        if self.switcher is not None:
+            groups["switcher"] = self.switcher.tensors()
+        named = {f"{group}.{name}": value for group, part in groups.items() for name, value in part.items()}
+        return {**named, "quantiser.cuts": self.quantiser.cuts}
+
+
+class MacroPlanner:
+    """A policy in one running environment; it sees the observation's `pixels` and nothing else."""
+
+    def __init__(self, policy: MacroPolicy) -> None:
+        self.policy = policy
+        self._state = policy.initial_state(1)
+
+    @property
+    def macro(self) -> int:
+        """The current macro-action."""
+        return int(self._state.macro[0])
+
+    def reset(self, env: gym.Env) -> None:
+        """Begin an episode."""
+        self._state = self.policy.initial_state(1)
+
+    def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
+        """The action for the frame that the environment shows now."""
+        images = torch.from_numpy(observation["pixels"])[None].to(self.policy.actor.votes.device)
+        actions, self._state = self.policy.act(images, self._state)
+        return int(actions[0])
+
+
+def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:
+    groups: dict[str, dict[str, Tensor]] = {}
+    for name, tensor in tensors.items():
+        group, _, field_name = name.partition(".")
+        groups.setdefault(group, {})[field_name] = tensor
+    return MacroPolicy(
+        config,
+        features_from(config.features, *config.image_shape, groups["features"]),
+        Quantiser(**groups["quantiser"]),
+        StumpClassifier(**groups["actor"]),
+        StumpClassifier(**groups["switcher"]) if config.switches else None,
+    )
+
+
+def _read_config(path: Path) -> PolicyConfig:
+    try:
+        values = json.loads(path.read_text())
+        return PolicyConfig(
+            **{
+                **values,
+                "action_names": tuple(values["action_names"]),
+                "image_shape": tuple(values["image_shape"]),
+                "switches": tuple(tuple(pair) for pair in values["switches"]),
+                "thresholds": tuple(values["thresholds"]),
+            }
+        )
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{path} is no policy of dpmacro ({error}): give a folder that train.py wrote"
+        ) from error

@@ -1,0 +1,225 @@
+"""Trainer: what DPBoost, the baseline and the switch functions share.
+
+Demonstrations become sorted levels once; DPBoost (with one macro-action it is the baseline) and the
+switch functions are fitted on them; a policy, its segmentation, pictures and TensorBoard events are saved.
+"""
+
+import functools
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+from dpmacro import figures
+from dpmacro.demonstrations import Demonstrations
+from dpmacro.boosting import Round
+from dpmacro.discovery import DPBoost, DPBoostResult
+from dpmacro.features import FeatureSet, Quantiser, make_features, previous_images
+from dpmacro.learners.stumps import SortedLevels, StumpLearner
+from dpmacro.metrics import frame_accuracy
+from dpmacro.options import TrainOptions
+from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.runs import RunFolder
+from dpmacro.segmentation import transition_counts
+from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
+
+__all__ = ["Trainer", "TrainingResult"]
+
+STAGES = {"discover": "Segmenting", "fit": "Boosting", "switch": "Switch functions"}  # names on the bars
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """What a run leaves behind."""
+
+    policy: MacroPolicy
+    discovery: DPBoostResult
+    switches: SwitchFunctions
+    pretrained: Path  # folder to give to eval.py
+
+
+class Trainer:
+    """Runs one training: demonstrations in, a saved policy out.
+
+    Args:
+        demonstrations: what to learn from.
+        options: how.
+        folder: where to write.
+    """
+
+    def __init__(self, demonstrations: Demonstrations, options: TrainOptions, folder: RunFolder) -> None:
+        self.demonstrations = demonstrations
+        self.options = options
+        self.folder = folder
+        self.actions = torch.from_numpy(demonstrations.actions)
+        self.lengths = torch.from_numpy(demonstrations.lengths)
+        self._macros = 1 if options.planner.type == "baseline" else options.planner.macros
+        if self._macros > len(self.actions):
+            raise ValueError(
+                f"planner.macros is {self._macros} but {demonstrations.root} holds {len(self.actions)} frames: ask for fewer"
+            )
+
+    def train(self) -> TrainingResult:
+        """Prepare features, discover macro-actions, fit switch functions, save."""
+        planner = self.options.planner
+        with SummaryWriter(str(self.folder.tensorboard)) as writer:
+            features, quantiser, data = self._prepare()
+            monitor = _Monitor(writer, self.demonstrations, self._macros)
+            discovery = DPBoost(
+                self._macros,
+                0 if planner.type == "baseline" else planner.max_transitions,
+                planner.rounds,
+                restarts=planner.restarts,
+                seed=self.options.seed,
+                device=self.options.device,
+                shrinkage=planner.shrinkage,
+            ).fit(data, self.actions, self.lengths, monitor.on_round)
+            switches = fit_switches(
+                StumpLearner(data),
+                discovery.labels,
+                self.lengths,
+                torch.Generator().manual_seed(self.options.seed),
+                window=planner.switch_window,
+                rounds=planner.switch_rounds,
+                shrinkage=planner.switch_shrinkage,
+                on_round=monitor.on_round,
+            )
+            monitor.close()
+            policy = self._policy(features, quantiser, discovery, switches)
+            options = _plain(asdict(self.options))
+            pretrained = self.folder.checkpoint(
+                planner.rounds, policy, options, discovery.labels, self.lengths
+            )
+            self._report(writer, discovery, switches)
+        return TrainingResult(policy, discovery, switches, pretrained)
+
+    def _prepare(self) -> tuple[FeatureSet, Quantiser, SortedLevels]:
+        """Features of every frame, quantised and sorted, with a bar in columns."""
+        images = torch.from_numpy(self.demonstrations.images).to(self.options.device)
+        previous = previous_images(images, self.lengths)
+        height, width = images.shape[1:3]
+        generator = torch.Generator().manual_seed(self.options.seed)
+        planner = self.options.planner
+        features = make_features(planner.features, height, width, planner.rectangles, generator)
+        with tqdm(desc="Features", total=3, unit="step") as bar:
+            values = features.values(images, previous)
+            bar.update()
+            quantiser = Quantiser.fit(values)
+            levels = quantiser.levels(values)
+            bar.update()
+            data = SortedLevels.build(levels)
+            bar.update()
+        return features, quantiser, data
+
+    def _policy(
+        self,
+        features: FeatureSet,
+        quantiser: Quantiser,
+        discovery: DPBoostResult,
+        switches: SwitchFunctions,
+    ) -> MacroPolicy:
+        demonstrations = self.demonstrations
+        height, width = demonstrations.images.shape[1:3]
+        config = PolicyConfig(
+            type=self.options.planner.type,
+            macros=self._macros,
+            first_macro=starting_macro(discovery.labels, self.lengths),
+            action_names=demonstrations.action_names,
+            image_shape=(height, width),
+            features=self.options.planner.features,
+            switches=tuple(switches.pairs),
+            thresholds=tuple(switches.thresholds.tolist()),
+            world=demonstrations.world,
+        )
+        return MacroPolicy.compact(config, features, quantiser, discovery.classifiers, switches.classifier)
+
+    def _report(self, writer: SummaryWriter, discovery: DPBoostResult, switches: SwitchFunctions) -> None:
+        """Pictures of the segmentation, in TensorBoard and as PNG, and what left-out trajectories said."""
+        demonstrations = self.demonstrations
+        labels = discovery.labels.numpy()
+        first = slice(0, int(demonstrations.lengths[0]))
+        truth = demonstrations.phase
+        pictures = {
+            "timeline": figures.timeline(
+                demonstrations.images[first],
+                labels[first],
+                demonstrations.actions[first],
+                None if truth is None else truth[first],
+                f"Demonstration 0: {self._macros} macro-actions",
+                demonstrations.action_names,
+            ),
+            "segmentation": figures.timelines(labels, demonstrations.lengths, truth, "All demonstrations"),
+        }
+        for name, figure in pictures.items():
+            figures.save(figure, self.folder.figures / f"{name}.png")
+            writer.add_image(f"segmentation/{name}", figures.to_image(figure), dataformats="HWC")
+        for restart, verdict in discovery.verdicts.items():
+            for name, value in asdict(verdict).items():
+                writer.add_scalar(f"selection/{name}", value, restart)
+        for (source, target), share in zip(switches.pairs, switches.detected.tolist(), strict=True):
+            writer.add_scalar(f"switch/detected_{source}_to_{target}", share)
+
+
+class _Monitor:
+    """Turns the rounds of a training into a progress bar and TensorBoard scalars."""
+
+    def __init__(self, writer: SummaryWriter, demonstrations: Demonstrations, macros: int) -> None:
+        self._writer = writer
+        self._demonstrations = demonstrations
+        self._macros = macros
+        self._bar: tqdm | None = None
+        self._labels: Int64[Tensor, " frames"] | None = None
+        self._clock = time.perf_counter()
+
+    def on_round(self, report: Round) -> None:
+        """Log one boosting round of DPBoost."""
+        self._advance(report.stage, report.number, report.total, report.loss)
+        if report.labels is not None:
+            self._log_segmentation(report.stage, report.number, report.labels.cpu())
+        self._writer.add_scalar(f"accuracy/{report.stage}", report.accuracy, report.number)
+
+    def _log_segmentation(self, stage: str, number: int, labels: Int64[Tensor, " frames"]) -> None:
+        lengths = torch.from_numpy(self._demonstrations.lengths)
+        log = functools.partial(self._writer.add_scalar, global_step=number)
+        changed = 0.0 if self._labels is None else float((labels != self._labels).float().mean())
+        n_segments = int(transition_counts(labels, lengths).sum()) + len(lengths)
+        log(f"segmentation/{stage}/label_changes", changed)
+        log(f"segmentation/{stage}/mean_segment_frames", len(labels) / n_segments)
+        for macro in range(self._macros):
+            share = float((labels == macro).float().mean())
+            log(f"segmentation/{stage}/occupancy_{macro}", share)
+        if self._demonstrations.phase is not None:
+            agreement = frame_accuracy(labels.numpy(), self._demonstrations.phase)
+            log(f"segmentation/{stage}/agreement_with_phase", agreement)
+        self._labels = labels
+
+    def close(self) -> None:
+        """Finish the bar."""
+        if self._bar is not None:
+            self._bar.close()
+
+    def _advance(self, stage: str, number: int, total: int, loss: float) -> None:
+        if number == 1:
+            self.close()
+            self._bar = tqdm(desc=STAGES[stage], total=total, unit="round")
+            self._clock = time.perf_counter()
+        now = time.perf_counter()
+        self._writer.add_scalar(f"loss/{stage}", loss, number)
+        self._writer.add_scalar(f"time/{stage}_seconds_per_round", now - self._clock, number)
+        self._clock = now
+        assert self._bar is not None
+        self._bar.set_postfix_str(f"loss {loss:.4f}")
+        self._bar.update()
+
+
+def _plain(value: Any) -> Any:
+    """Options as JSON holds them: paths become strings."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    return str(value) if isinstance(value, Path) else value
