@@ -7,7 +7,7 @@ starts from many seeded initial segmentations side by side, on a few dozen rando
 Left-out trajectories choose among the distinct outcomes, and the chosen one is refitted with the exact learner.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,8 +120,8 @@ class DPBoost:
     def fit(
         self,
         features: Num[Tensor, "frames columns"] | np.ndarray | SortedLevels,
-        actions: Int64[Tensor, " frames"] | np.ndarray,
-        lengths: Int64[Tensor, " trajectories"] | np.ndarray,
+        actions: Int64[Tensor, " frames"] | np.ndarray | Sequence[int],
+        lengths: Int64[Tensor, " trajectories"] | np.ndarray | Sequence[int],
         on_round: Callable[[Round], None] = lambda _: None,
     ) -> DPBoostResult:
         """Find macro-labels and strong classifiers.

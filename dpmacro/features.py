@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Int32, Int64, Num, UInt8
+from jaxtyping import Bool, Int32, Int64, Num, UInt8
 from torch import Tensor
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
 
 LEVELS = 256
 CHANNELS = 8
+MOTION = range(3, 6)  # the channels that hold differences to the previous image
 CHUNK_FRAMES = 32  # so many frames' integral images stay in the cache
 CHUNK_COLUMNS = 256
 
@@ -40,6 +41,11 @@ class FeatureSet(Protocol):
     @property
     def count(self) -> int:
         """The number of columns."""
+        ...
+
+    @property
+    def still(self) -> Bool[Tensor, " columns"]:
+        """Which columns look at the current image alone, blind to motion."""
         ...
 
     def values(
@@ -80,6 +86,11 @@ class Pixels:
     def count(self) -> int:
         """The number of columns."""
         return len(self.places)
+
+    @property
+    def still(self) -> Bool[Tensor, " columns"]:
+        """The columns of the image itself, not of its difference."""
+        return self.places < 3 * self.height * self.width
 
     def values(
         self,
@@ -146,6 +157,11 @@ class Rectangles:
     def count(self) -> int:
         """The number of columns."""
         return len(self.first)
+
+    @property
+    def still(self) -> Bool[Tensor, " columns"]:
+        """The columns of the image itself, not of its difference."""
+        return (self.first[:, 0] < MOTION.start) | (self.first[:, 0] >= MOTION.stop)
 
     def values(
         self,

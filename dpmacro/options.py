@@ -44,7 +44,7 @@ class PlannerOptions:
     """rectangles, or pixels for the paper's."""
     rectangles: int = 4096
     """How many rectangles are drawn."""
-    switch_window: int = 10
+    switch_window: int = 3
     """J, the frames from a change on that a switch function should fire in."""
     switch_rounds: int = 60
     """Boosting rounds of the switch functions."""
@@ -85,7 +85,7 @@ class TrainOptions:
 
     def __post_init__(self) -> None:
         if self.dataset.root is None:
-            raise ValueError("dataset.root is missing: give --dataset.root=<folder of a LeRobot dataset>")
+            raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}: give 0 or more")
         try:

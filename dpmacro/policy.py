@@ -15,6 +15,7 @@ from torch import Tensor
 
 from dpmacro.features import FeatureSet, Quantiser, features_from
 from dpmacro.files import replacing
+from dpmacro.learners import StrongClassifier
 from dpmacro.learners.stumps import StumpClassifier
 
 __all__ = ["MacroPlanner", "MacroPolicy", "PolicyConfig", "PolicyState"]
@@ -57,8 +58,8 @@ class MacroPolicy:
     config: PolicyConfig
     features: FeatureSet  # just the columns that some stump looks at
     quantiser: Quantiser
-    actor: StumpClassifier  # problems are macro-actions, classes are actions
-    switcher: StumpClassifier | None  # problems are config.switches, one class
+    actor: StrongClassifier  # problems are macro-actions, classes are actions
+    switcher: StrongClassifier | None  # problems are config.switches, one class
 
     @classmethod
     def compact(
@@ -66,8 +67,8 @@ class MacroPolicy:
         config: PolicyConfig,
         features: FeatureSet,
         quantiser: Quantiser,
-        actor: StumpClassifier,
-        switcher: StumpClassifier | None,
+        actor: StrongClassifier,
+        switcher: StrongClassifier | None,
     ) -> "MacroPolicy":
         """The policy over all columns of the training data, reduced to the columns that it uses."""
         parts = [actor] if switcher is None else [actor, switcher]
@@ -80,10 +81,15 @@ class MacroPolicy:
             None if switcher is None else switcher.renumbered(used),
         )
 
+    @property
+    def device(self) -> torch.device:
+        """Where its tensors are."""
+        return self.quantiser.cuts.device
+
     def initial_state(self, batch: int) -> PolicyState:
         """The state of `batch` environments before their first frame."""
-        device = self.actor.votes.device
-        return PolicyState(torch.full((batch,), self.config.first_macro, dtype=torch.int64, device=device))
+        first = self.config.first_macro
+        return PolicyState(torch.full((batch,), first, dtype=torch.int64, device=self.device))
 
     @torch.no_grad()
     def act(
@@ -178,7 +184,7 @@ class MacroPlanner:
 
     def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
         """The action for the frame that the environment shows now."""
-        images = torch.from_numpy(observation["pixels"])[None].to(self.policy.actor.votes.device)
+        images = torch.from_numpy(observation["pixels"])[None].to(self.policy.device)
         actions, self._state = self.policy.act(images, self._state)
         return int(actions[0])
 

@@ -6,7 +6,7 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -118,11 +118,12 @@ class DemonstrationWriter:
         if self._dataset is None:
             raise ValueError(f"dataset {self.root}: no episode was added, so there is nothing to write")
         self._dataset.finalize()
+        self._dataset = None
         (self._data / WORLD_FILE).write_text(json.dumps({"world": self.world}, indent=2) + "\n")
         shutil.rmtree(self._data / "images", ignore_errors=True)  # emptied by LeRobot, but left behind
         _refuse_existing(self.root)
         self._data.rename(self.root)
-        self._remove()
+        self._folder.rmdir()
 
     def __enter__(self) -> "DemonstrationWriter":
         return self
@@ -134,13 +135,19 @@ class DemonstrationWriter:
             if kind is None and self._folder.exists():
                 self.finalize()
         finally:
-            self._remove()
+            self._abandon()
 
     @property
     def _data(self) -> Path:
         return self._folder / "dataset"
 
-    def _remove(self) -> None:
+    def _abandon(self) -> None:
+        if self._dataset is not None:
+            # Left open, its parquet files abort the interpreter at its end. Why they cannot be closed does
+            # not matter: they go, and an error is on its way already.
+            with suppress(Exception):
+                self._dataset.finalize()
+            self._dataset = None
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _open(self, image_shape: tuple[int, ...], view_shape: tuple[int, ...] | None) -> Any:

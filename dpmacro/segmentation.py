@@ -97,7 +97,10 @@ def transition_counts(
 
 
 def _cheapest_entry(best: Tensor, transitions: Tensor | None) -> tuple[Tensor, Tensor]:
-    """min and argmin over q' != q of E(m-1, q') + T_m(q', q), for m = 2..N: [trajectories, macros, time - 1]."""
+    """Min and argmin over q' != q of E(m-1, q') + T_m(q', q), for m = 2..N.
+
+    Both come as [trajectories, macros, time - 1].
+    """
     n_macros = best.shape[1]
     arriving = best[:, :, None, :-1].expand(-1, -1, n_macros, -1)  # [trajectories, from, to, time - 1]
     if transitions is not None:

@@ -80,7 +80,7 @@ def fit_switches(
     labels: Int64[Tensor, " frames"],
     lengths: Int64[Tensor, " trajectories"],
     generator: torch.Generator,
-    window: int = 10,
+    window: int = 3,
     rounds: int = 60,
     shrinkage: float = 0.2,
     folds: int = 5,
@@ -91,7 +91,8 @@ def fit_switches(
     Args:
         learner: finds the stumps; holds the frames.
         labels, lengths: the segmentation.
-        window: J >= 1, the positive frames from a change on.
+        window: J >= 1, the positive frames from a change on. Later ones show what the next macro-action does, which a
+            planner that waits for the change never sees: with J = 10 it takes a correction for the change.
         rounds: boosting rounds.
         shrinkage: factor in (0, 1] on every weak hypothesis.
         folds: parts that trajectories are dealt into by `generator`; each part is scored by a switch function
@@ -132,7 +133,7 @@ def fit_switches(
     scores = boosting.scores[:, :, 0].cpu().unflatten(1, (len(pairs), n_fits))
     own_fit = fold_of.clamp(max=n_fits - 1).repeat_interleave(lengths)
     held_out = scores.gather(2, own_fit[:, None, None].expand(-1, len(pairs), 1)).squeeze(2)
-    calibrated = [_calibrate(_peaks(pair, events, held_out[:, p], window)) for p, pair in enumerate(pairs)]
+    calibrated = [_calibrate(_peaks(pair, events, held_out[:, p])) for p, pair in enumerate(pairs)]
     thresholds, detected = torch.tensor(calibrated).unbind(1)
     last = torch.arange(n_fits - 1, n_problems, n_fits, device=learner.device)
     return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong().select(last))
@@ -196,14 +197,16 @@ def _examples(
 
 
 def _peaks(
-    pair: tuple[int, int], events: list[Event], scores: Float[Tensor, " frames"], window: int
+    pair: tuple[int, int], events: list[Event], scores: Float[Tensor, " frames"]
 ) -> list[tuple[float, float]]:
-    """Highest score before and at the change, for every segment that the pair ends."""
+    """Highest score before the change and the score at its first frame, for every segment that the pair ends.
+
+    Only the first frame counts: a planner that has not changed by then will not see the frames that follow.
+    """
     peaks = []
     for event in events:
         if (event.macro, event.following) == pair:
-            at_change = scores[event.stop : min(event.stop + window, event.following_stop)]
-            peaks.append((float(scores[event.start : event.stop].max()), float(at_change.max())))
+            peaks.append((float(scores[event.start : event.stop].max()), float(scores[event.stop])))
     return peaks
 
 

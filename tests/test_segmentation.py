@@ -104,7 +104,9 @@ def test_bad_input_is_named(costs, lengths, bound, message):
         segment(costs, torch.tensor(lengths, dtype=torch.int64), bound)
 
 
-@pytest.mark.parametrize(("shape", "value", "message"), [((3, 2), 0.0, "shape"), ((3, 2, 2), float("nan"), "NaN")])
+@pytest.mark.parametrize(
+    ("shape", "value", "message"), [((3, 2), 0.0, "shape"), ((3, 2, 2), float("nan"), "NaN")]
+)
 def test_bad_transition_costs_are_named(shape, value, message):
     with pytest.raises(ValueError, match=message):
         segment(torch.zeros(3, 2), torch.tensor([3]), 1, torch.full(shape, value))

@@ -1,0 +1,72 @@
+# `make help` lists the targets. PYTHON picks the interpreter (3.11 or 3.12), VENV the environment's folder.
+
+VENV ?= .venv
+# Without PYTHON an environment that exists stays as it is.
+PYTHON ?= $(if $(wildcard $(VENV)/.installed-*),$(VENV)/bin/python,python3)
+VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+INSTALLED := $(VENV)/.installed-$(VERSION)
+BIN := $(VENV)/bin
+WORKERS ?= 2
+
+.PHONY: help venv test lint types pytest demo clean-demo
+.DEFAULT_GOAL := help
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+venv: $(INSTALLED) ## build the environment in .venv (make venv PYTHON=python3.12 for another Python)
+
+# PyBullet built in pip's isolated environment would come out without numpy and render eight times slower.
+$(INSTALLED): pyproject.toml
+	@case "$(VERSION)" in 3.11|3.12) ;; \
+	  *) echo "error: $(PYTHON) is Python '$(VERSION)': give PYTHON=python3.11 or PYTHON=python3.12" >&2; exit 2;; esac
+	test -e $@ || $(PYTHON) -m venv --clear $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet 'setuptools>=77,<81' wheel 'numpy>=2.0,<2.3'
+	$(BIN)/python -m pip install --quiet --no-build-isolation 'pybullet>=3.2.7'
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	touch $@
+
+test: lint types pytest ## lint, types and the whole test suite
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(INSTALLED)
+	$(BIN)/mypy
+
+pytest: $(INSTALLED)
+	$(BIN)/python -m pytest --jaxtyping-packages=dpmacro,beartype.beartype
+
+# The demo: every stage is a file, so that a second call reuses what exists.
+DEMO := outputs/demo
+DATASET := datasets/two_flags_random
+EPISODES ?= 50
+SEED ?= 10000
+PLANNERS := teacher baseline dpboost
+RESULTS := $(PLANNERS:%=$(DEMO)/eval/%/eval_info.json)
+evaluate = rm -rf $(@D) && $(BIN)/python eval.py --episodes=$(EPISODES) --seed=$(SEED) --workers=$(WORKERS) --output_dir=$(@D)
+
+demo: $(RESULTS) ## record 20 demonstrations, train baseline and DPBoost, run both and the teacher, print one table
+	$(BIN)/python benchmarks/summary.py --results='$(RESULTS)' --chart=$(DEMO)/success.png
+	@echo "pictures     $(DEMO)/success.png, $(DEMO)/train/dpboost/figures"
+	@echo "TensorBoard  $(BIN)/tensorboard --logdir=$(DEMO)"
+
+$(DATASET)/meta/info.json: | $(INSTALLED)
+	$(BIN)/python datasets/record.py --root=$(DATASET) --episodes=20 --seed=0 --workers=$(WORKERS)
+
+$(DEMO)/train/%/checkpoints/last/pretrained_model/config.json: $(DATASET)/meta/info.json
+	rm -rf $(DEMO)/train/$*
+	$(BIN)/python train.py --dataset.root=$(DATASET) --planner.type=$* --output_dir=$(DEMO)/train/$*
+
+$(DEMO)/eval/teacher/eval_info.json: | $(INSTALLED)
+	$(evaluate) --policy.type=teacher
+
+$(DEMO)/eval/%/eval_info.json: $(DEMO)/train/%/checkpoints/last/pretrained_model/config.json
+	$(evaluate) --policy.path=$(<D)
+
+.PRECIOUS: $(DEMO)/train/%/checkpoints/last/pretrained_model/config.json
+
+clean-demo: ## remove what make demo made
+	rm -rf $(DEMO) $(DATASET)

@@ -1,0 +1,358 @@
+import json
+import shutil
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from noise import ACTIONS, LENGTHS, WORLD, random_episodes
+
+from dpmacro.demonstrations import DatasetError, Demonstrations
+from dpmacro.recording import AVATAR, VIEW, DemonstrationWriter
+
+DATA = "data/chunk-000/file-000.parquet"
+EPISODES = "meta/episodes/chunk-000/file-000.parquet"
+
+
+@pytest.fixture
+def root(recorded, tmp_path) -> Path:
+    """A copy of the recorded dataset, to spoil."""
+    return Path(shutil.copytree(recorded, tmp_path / "copy"))
+
+
+@pytest.fixture(scope="session")
+def two_cameras(tmp_path_factory) -> Path:
+    """Two episodes with the view for people, a flat colour a frame that video keeps roughly."""
+    root = tmp_path_factory.mktemp("cameras") / "two_cameras"
+    with DemonstrationWriter.create(root, ACTIONS, 30, {}, view=True) as writer:
+        for episode in random_episodes((8, 6), shape=(24, 32, 3)):
+            level = episode["actions"] * 100 + 20
+            views = np.broadcast_to(level[:, None, None, None], (len(level), 240, 320, 3))
+            writer.add_episode(**episode, views=np.ascontiguousarray(views, np.uint8))
+    return root
+
+
+def edit_json(path, **changes):
+    content = json.loads(path.read_text())
+    content.update(changes)
+    path.write_text(json.dumps(content))
+
+
+def edit_features(root, **changes):
+    """Change features of info.json; None drops one."""
+    info = json.loads((root / "meta/info.json").read_text())
+    features = info["features"] | {name.replace("__", "."): value for name, value in changes.items()}
+    edit_json(root / "meta/info.json", features={k: v for k, v in features.items() if v is not None})
+
+
+def set_column(root, name, values, feature=None, file=DATA):
+    """Replace, or add, a column of the dataset; `feature` says in info.json what it is."""
+    table = pq.read_table(root / file)
+    column = pa.array(values) if not isinstance(values, pa.Array) else values
+    if name in table.column_names:
+        table = table.set_column(table.column_names.index(name), name, column)
+    else:
+        table = table.append_column(name, column)
+    pq.write_table(table.replace_schema_metadata(None), root / file)
+    if feature is not None:
+        edit_features(root, **{name: feature})
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def spoil_image(root, frame, content):
+    images = pq.read_table(root / DATA)[AVATAR].to_pylist()
+    images[frame]["bytes"] = content(images[frame]["bytes"])
+    set_column(root, AVATAR, images)
+
+
+def actions_as(root, values, dtype, size):
+    """Store the actions as `action` alone."""
+    edit_features(root, discrete_action=None)
+    set_column(root, "action", values, {"dtype": dtype, "shape": [size], "names": None})
+
+
+def expected():
+    episodes = list(random_episodes())
+    return {
+        name: np.concatenate([episode[name] for episode in episodes])
+        for name in ("images", "actions", "phases")
+    }
+
+
+def test_what_was_recorded_comes_back_bit_for_bit(recorded):
+    loaded = Demonstrations.load(str(recorded))
+    wanted = expected()
+    assert np.array_equal(loaded.images, wanted["images"])
+    assert np.array_equal(loaded.actions, wanted["actions"])
+    assert loaded.phase is not None and np.array_equal(loaded.phase, wanted["phases"])
+    assert loaded.lengths.tolist() == list(LENGTHS)
+    assert (loaded.action_names, loaded.fps, loaded.world, loaded.root) == (ACTIONS, 30, WORLD, recorded)
+    assert [t.stop - t.start for t in loaded.trajectories] == list(LENGTHS)
+    assert loaded.trajectories[0].start == 0
+
+
+@pytest.mark.parametrize("indices", [[0], [3, 1], [2, 1, 0, 3]])
+def test_episodes_come_in_the_order_asked_for(recorded, indices):
+    episodes = list(random_episodes())
+    images = np.concatenate([episodes[index]["images"] for index in indices])
+    loaded = Demonstrations.load(recorded, episodes=indices)
+    selected = Demonstrations.load(recorded).select(indices)
+    for some in (loaded, selected):
+        assert np.array_equal(some.images, images)
+        assert some.lengths.tolist() == [LENGTHS[index] for index in indices]
+        assert len(some.phase) == len(some.actions) == len(images)
+        assert some.action_names == ACTIONS
+
+
+@pytest.mark.parametrize("indices", [[], [4], [0, -1]])
+def test_select_refuses_trajectories_that_are_not_there(recorded, indices):
+    with pytest.raises(ValueError, match=r"choose from 0\.\.3"):
+        Demonstrations.load(recorded).select(indices)
+
+
+def test_loading_touches_neither_network_nor_cache(recorded, monkeypatch):
+    def refuse(*_args, **_kwargs):
+        raise AssertionError("network")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+    monkeypatch.setenv("HF_HUB_OFFLINE", "0")
+    before = sorted(path for path in recorded.rglob("*"))
+    Demonstrations.load(recorded)
+    assert sorted(path for path in recorded.rglob("*")) == before
+
+
+def numbers(root):
+    return expected()["actions"]
+
+
+STORED_ACTIONS = {
+    "one-hot alone": (lambda root: edit_features(root, discrete_action=None), ACTIONS),
+    "one-hot of float64 in lists": (
+        lambda root: actions_as(root, np.eye(3)[numbers(root)].tolist(), "float64", 3),
+        ("0", "1", "2"),
+    ),
+    "int64": (lambda root: actions_as(root, numbers(root), "int64", 1), ("0", "1", "2")),
+    "int32": (lambda root: actions_as(root, numbers(root).astype(np.int32), "int32", 1), ("0", "1", "2")),
+    "discrete beside continuous": (
+        lambda root: set_column(
+            root, "action", np.full((30, 2), 0.5).tolist(), {"dtype": "float32", "shape": [2], "names": None}
+        ),
+        ("0", "1", "2"),
+    ),
+    "discrete alone": (lambda root: edit_features(root, action=None), ("0", "1", "2")),
+    "names in a dict": (
+        lambda root: edit_features(
+            root, action={"dtype": "float32", "shape": [3], "names": {"motors": ["a", "b", "c"]}}
+        ),
+        ("a", "b", "c"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", STORED_ACTIONS)
+def test_discrete_actions_are_read_however_they_are_stored(root, case):
+    spoil, names = STORED_ACTIONS[case]
+    spoil(root)
+    loaded = Demonstrations.load(root)
+    assert np.array_equal(loaded.actions, expected()["actions"])
+    assert loaded.action_names == names
+
+
+def test_names_of_numbers_do_not_depend_on_the_episodes_chosen(root):
+    actions = np.zeros(30, np.int64)
+    actions[29] = 2
+    actions_as(root, actions, "int64", 1)
+    edit_json(root / "meta/stats.json", action={"max": [2]})
+    assert Demonstrations.load(root, episodes=[0]).action_names == ("0", "1", "2")
+
+
+def test_data_of_others_need_neither_phase_nor_world(root):
+    edit_features(root, phase=None)
+    (root / "meta/dpmacro.json").unlink()
+    loaded = Demonstrations.load(root)
+    assert loaded.phase is None and loaded.select([1]).phase is None
+    assert loaded.world == {}
+
+
+def test_the_lossless_camera_is_preferred_and_video_can_be_named(two_cameras):
+    avatar = Demonstrations.load(two_cameras)
+    assert avatar.images.shape == (14, 24, 32, 3)
+    video = Demonstrations.load(two_cameras, camera=VIEW)
+    assert video.images.shape == (14, 240, 320, 3)
+    levels = video.images.mean(axis=(1, 2, 3))
+    assert np.abs(levels - (video.actions * 100 + 20)).max() < 8
+    later = Demonstrations.load(two_cameras, episodes=[1, 0], camera=VIEW)
+    assert np.array_equal(later.images[:6], video.images[8:])
+    assert np.array_equal(later.images[6:], video.images[:8])
+
+
+def test_several_files_and_chunks(root):
+    table = pq.read_table(root / DATA)
+    rows = pq.read_table(root / EPISODES).to_pydict()
+    for episode, (chunk, file) in enumerate([(0, 0), (0, 1), (1, 0), (0, 1)]):
+        rows["data/chunk_index"][episode], rows["data/file_index"][episode] = chunk, file
+    for chunk, file, episodes in ((0, 0, [0]), (0, 1, [1, 3]), (1, 0, [2])):
+        path = root / f"data/chunk-{chunk:03d}/file-{file:03d}.parquet"
+        path.parent.mkdir(exist_ok=True)
+        pq.write_table(table.filter(pa.compute.is_in(table["episode_index"], pa.array(episodes))), path)
+    episodes_table = pa.table(rows)
+    pq.write_table(episodes_table.slice(0, 2), root / EPISODES)
+    (root / "meta/episodes/chunk-001").mkdir()
+    pq.write_table(episodes_table.slice(2), root / "meta/episodes/chunk-001/file-000.parquet")
+    assert np.array_equal(Demonstrations.load(root).images, expected()["images"])
+    assert Demonstrations.load(root, episodes=[3, 2]).lengths.tolist() == [9, 2]
+
+
+SPOILED = {
+    "no folder": (shutil.rmtree, r"no such folder; record one"),
+    "no info": (
+        lambda root: (root / "meta/info.json").unlink(),
+        r"info\.json: cannot be read \(No such file",
+    ),
+    "info is no JSON": (lambda root: truncate(root / "meta/info.json"), r"info\.json: is not JSON"),
+    "info lacks a key": (
+        lambda root: (root / "meta/info.json").write_text('{"codebase_version": "v3.0"}'),
+        r"has no features",
+    ),
+    "old format": (
+        lambda root: edit_json(root / "meta/info.json", codebase_version="v2.1"),
+        r"format v2\.1, dpmacro reads v3\.x; convert it",
+    ),
+    "more frames promised": (
+        lambda root: edit_json(root / "meta/info.json", total_frames=31),
+        r"half-written, info\.json says 4 episodes and 31 frames, meta/episodes lists 4 and 30",
+    ),
+    "more episodes promised": (
+        lambda root: edit_json(root / "meta/info.json", total_episodes=5),
+        r"half-written, info\.json says 5 episodes",
+    ),
+    "no episodes file": (lambda root: (root / EPISODES).unlink(), r"meta/episodes lists no episode"),
+    "episodes file cut": (lambda root: truncate(root / EPISODES), r"half-written or damaged \(.*record"),
+    "data file cut": (lambda root: truncate(root / DATA), r"file-000\.parquet: half-written or damaged"),
+    "data file missing": (lambda root: (root / DATA).unlink(), r"file-000\.parquet: is missing"),
+    "rows missing": (
+        lambda root: pq.write_table(pq.read_table(root / DATA).slice(0, 25), root / DATA),
+        r"episode 3 has 9 frames by meta/episodes and 4 in file-000\.parquet",
+    ),
+    "column missing": (
+        lambda root: pq.write_table(pq.read_table(root / DATA).drop_columns(["phase"]), root / DATA),
+        r"has no column phase",
+    ),
+    "no image feature": (
+        lambda root: edit_features(root, observation__images__avatar=None),
+        r"has no image feature",
+    ),
+    "one-frame episode": (
+        lambda root: [
+            set_column(root, "length", [12, 1, 2, 9], file=EPISODES),
+            edit_json(root / "meta/info.json", total_frames=24),
+        ],
+        r"episode 1 has 1 frame; dpmacro needs at least two frames per episode",
+    ),
+    "no action": (
+        lambda root: edit_features(root, action=None, discrete_action=None),
+        r"has no action feature",
+    ),
+    "action too large": (
+        lambda root: set_column(root, "discrete_action", [0] * 5 + [3] + [0] * 24),
+        r"discrete_action 3 of frame 5 is outside 0\.\.2",
+    ),
+    "action negative": (
+        lambda root: actions_as(root, [0, -1] * 15, "int64", 1),
+        r"action -1 of frame 1 is outside",
+    ),
+    "two ones": (
+        lambda root: actions_as(root, [[1.0, 1.0]] * 30, "float32", 2),
+        r"action \[1\. 1\.\] of frame 0 is not one-hot",
+    ),
+    "continuous vector": (
+        lambda root: actions_as(root, [[0.3, 1.0]] * 30, "float32", 2),
+        r"continuous actions \(first \[0\.3 1\. *\]\); dpmacro needs discrete",
+    ),
+    "continuous scalar": (
+        lambda root: actions_as(root, [0.25] * 30, "float32", 1),
+        r"continuous actions \(first 0\.25\)",
+    ),
+    "PNG cut": (lambda root: spoil_image(root, 4, lambda b: b[:200]), r"image of frame 4 is damaged"),
+    "PNG flipped": (
+        lambda root: spoil_image(root, 29, lambda b: b[:900] + bytes([b[900] ^ 255]) + b[901:]),
+        r"image of frame 29 is damaged",
+    ),
+    "PNG empty": (lambda root: spoil_image(root, 0, lambda b: None), r"image of frame 0 is damaged"),
+}
+
+
+@pytest.mark.parametrize("case", SPOILED)
+def test_what_cannot_be_read_is_refused_in_one_line(root, case):
+    spoil, message = SPOILED[case]
+    spoil(root)
+    with pytest.raises(DatasetError, match=message) as caught:
+        Demonstrations.load(root)
+    assert "\n" not in str(caught.value) and str(root) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"episodes": [0, 7]}, r"no episode 7; it has 4, from 0 to 3"),
+        ({"episodes": []}, r"episodes=\[\], give each wanted one once"),
+        ({"episodes": [1, 1]}, r"episodes=\[1, 1\], give each"),
+        ({"camera": "front"}, rf"no camera 'front'; it has {AVATAR}"),
+    ],
+)
+def test_what_is_not_there_is_refused(recorded, options, message):
+    with pytest.raises(DatasetError, match=message):
+        Demonstrations.load(recorded, **options)
+
+
+def test_cameras_of_a_kind_must_be_chosen_from(root):
+    images = pq.read_table(root / DATA)[AVATAR].combine_chunks()
+    set_column(root, "observation.images.rear", images)
+    info = json.loads((root / "meta/info.json").read_text())
+    edit_features(root, observation__images__rear=info["features"][AVATAR])
+    with pytest.raises(DatasetError, match=rf"{AVATAR}, observation\.images\.rear; name one as camera"):
+        Demonstrations.load(root)
+    assert len(Demonstrations.load(root, camera="observation.images.rear").images) == 30
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [(truncate, "lacks frame|cannot be decoded"), (Path.unlink, "is missing")],
+)
+def test_video_that_cannot_be_read(two_cameras, tmp_path, spoil, message):
+    root = Path(shutil.copytree(two_cameras, tmp_path / "copy"))
+    path = root / f"videos/{VIEW}/chunk-000/file-000.mp4"
+    if spoil is truncate:
+        path.write_bytes(path.read_bytes()[:600])
+    else:
+        spoil(path)
+    with pytest.raises(DatasetError, match=message):
+        Demonstrations.load(root, camera=VIEW)
+
+
+def test_loading_is_fast(root):
+    """Half of what one core of a busy machine reads; the point is to notice a tenfold loss."""
+    table = pq.read_table(root / DATA)
+    copies = 100
+    count = np.arange(copies * 30)
+    tables = pa.concat_tables([table] * copies)
+    tables = tables.set_column(
+        tables.column_names.index("episode_index"), "episode_index", pa.array(count // 30)
+    )
+    pq.write_table(tables, root / DATA)
+    columns = ("data/chunk_index", "data/file_index")
+    rows = {"episode_index": range(copies), "length": [30] * copies} | {
+        name: [0] * copies for name in columns
+    }
+    pq.write_table(pa.table(rows), root / EPISODES)
+    edit_json(root / "meta/info.json", total_frames=3000, total_episodes=copies)
+    start = time.process_time()
+    assert len(Demonstrations.load(root).actions) == 3000
+    assert 3000 / (time.process_time() - start) > 1500

@@ -1,0 +1,159 @@
+"""A policy acts alike in any batch, switches only along observed changes, and survives its files."""
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from dpmacro.features import FEATURES, Quantiser, make_features, previous_images
+from dpmacro.learners.stumps import StumpClassifier
+from dpmacro.policy import MacroPolicy, PolicyConfig
+
+DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+SHAPE = (12, 16)
+
+
+def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0):
+    """Random stumps over random images: enough for a policy that does something in every frame."""
+    generator = torch.Generator().manual_seed(seed)
+    images = torch.randint(0, 256, (50, *SHAPE, 3), dtype=torch.uint8, generator=generator)
+    features = make_features(kind, *SHAPE, 200, generator)
+    quantiser = Quantiser.fit(features.values(images, previous_images(images, torch.tensor([50]))))
+
+    def stumps(problems, classes):
+        return StumpClassifier(
+            torch.randint(features.count, (20, problems), generator=generator),
+            torch.randint(256, (20, problems), generator=generator).to(torch.uint8),
+            torch.randn(20, problems, 2, classes, generator=generator),
+        )
+
+    config = PolicyConfig(
+        type="dpboost",
+        macros=3,
+        first_macro=0,
+        action_names=("a", "b", "c"),
+        image_shape=SHAPE,
+        features=kind,
+        switches=switches,
+        thresholds=(2.0,) * len(switches),
+        world={"id": "TwoFlags-v0", "render_size": [128, 96]},
+    )
+    switcher = stumps(len(switches), 1) if switches else None
+    return MacroPolicy.compact(config, features, quantiser, stumps(3, 3), switcher), images
+
+
+def run(policy, images):
+    """Actions and macro-actions of one environment that shows `images`."""
+    planner, actions, macros = policy.planner(), [], []
+    for image in images.numpy():
+        actions.append(planner.act({"pixels": image}, {}))
+        macros.append(planner.macro)
+    return actions, macros
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("kind", FEATURES)
+def test_a_batch_acts_as_its_environments_one_by_one(kind, device):
+    policy, images = random_policy(kind)
+    policy = policy.to(device)
+    orders = [torch.randperm(50, generator=torch.Generator().manual_seed(k)) for k in range(4)]
+    state, together = policy.initial_state(4), []
+    for t in range(50):
+        batch = torch.stack([images[order[t]] for order in orders]).to(device)
+        actions, state = policy.act(batch, state)
+        together.append((actions.tolist(), state.macro.tolist()))
+    for row, order in enumerate(orders):
+        actions, macros = run(policy, images[order])
+        assert actions == [step[0][row] for step in together]
+        assert macros == [step[1][row] for step in together]
+
+
+def test_switches_only_along_observed_changes():
+    policy, images = random_policy(switches=((0, 2), (2, 0)))
+    macros = run(policy, images)[1]
+    assert set(macros) == {0, 2}
+
+
+def test_the_highest_switch_above_its_threshold_wins():
+    policy, images = random_policy(switches=((0, 1), (0, 2)))
+    previous = images[:1]
+    levels = policy.quantiser.levels(policy.features.values(images[:1], previous))
+    scores = policy.switcher.scores(levels)[0, :, 0]
+    for thresholds, macro in (
+        (scores + 1, 0),
+        (scores - torch.tensor([1.0, 2.0]), 2),
+        (scores - torch.tensor([2.0, 1.0]), 1),
+        (scores - torch.tensor([1.0, -1.0]), 1),
+    ):
+        config = PolicyConfig(**{**policy.config.__dict__, "thresholds": tuple(thresholds.tolist())})
+        changed = MacroPolicy(config, policy.features, policy.quantiser, policy.actor, policy.switcher)
+        assert run(changed, images[:1])[1] == [macro]
+
+
+def test_without_switch_functions_the_first_macro_stays():
+    policy, images = random_policy(switches=())
+    assert set(run(policy, images)[1]) == {0}
+
+
+@pytest.mark.parametrize("kind", FEATURES)
+@pytest.mark.parametrize("switches", [(), ((0, 1), (1, 2))])
+def test_files_keep_every_decision(tmp_path, kind, switches):
+    policy, images = random_policy(kind, switches)
+    policy.save(tmp_path / "model")
+    read = MacroPolicy.load(tmp_path / "model")
+    assert run(read, images) == run(policy, images)
+    assert read.config == policy.config
+    assert sorted(path.name for path in (tmp_path / "model").iterdir()) == [
+        "config.json",
+        "model.safetensors",
+    ]
+
+
+def test_a_reset_planner_starts_afresh():
+    policy, images = random_policy()
+    planner = policy.planner()
+    first = [planner.act({"pixels": image}, {}) for image in images.numpy()]
+    planner.reset(gym.Env())
+    assert [planner.act({"pixels": image}, {}) for image in images.numpy()] == first
+
+
+def test_an_image_of_another_size_is_refused():
+    policy, _ = random_policy()
+    with pytest.raises(ValueError, match="an image is 48x64x3: the policy was trained on 12x16x3"):
+        policy.planner().act({"pixels": np.zeros((48, 64, 3), np.uint8)}, {})
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (lambda folder: (folder / "config.json").unlink(), "holds no config.json"),
+        (lambda folder: (folder / "model.safetensors").unlink(), "holds no model.safetensors"),
+        (lambda folder: (folder / "config.json").write_text("{"), "is no policy of dpmacro"),
+        (lambda folder: (folder / "config.json").write_text('{"type": "act"}'), "is no policy of dpmacro"),
+        (lambda folder: (folder / "config.json").write_bytes(b"\xff\xfe\x00"), "is no policy of dpmacro"),
+        (lambda folder: (folder / "model.safetensors").write_bytes(b"no tensors"), "cannot be read"),
+        (
+            lambda folder: (folder / "model.safetensors").write_bytes(
+                (folder / "model.safetensors").read_bytes()[:-100]
+            ),
+            "cannot be read",
+        ),
+    ],
+)
+def test_files_that_cannot_be_read_are_named(tmp_path, harm, message):
+    policy, _ = random_policy()
+    policy.save(tmp_path)
+    harm(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        MacroPolicy.load(tmp_path)
+
+
+def test_tensors_that_do_not_belong_to_the_config_are_named(tmp_path):
+    policy, _ = random_policy(switches=())
+    policy.save(tmp_path)
+    values = json.loads((tmp_path / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps({**values, "switches": [[0, 1]], "thresholds": [0.0]}))
+    with pytest.raises(ValueError, match="cannot be read"):
+        MacroPolicy.load(tmp_path)

@@ -1,0 +1,179 @@
+import json
+import os
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from noise import ACTIONS, LENGTHS, WORLD, random_episodes
+
+from dpmacro.demonstrations import DatasetError, Demonstrations
+from dpmacro.recording import AVATAR, VIEW, DemonstrationWriter
+
+
+def open_with_lerobot(root):
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    return LeRobotDataset(f"local/{root.name}", root=root, video_backend="pyav")
+
+
+def test_lerobot_opens_and_indexes_what_was_written(recorded):
+    dataset = open_with_lerobot(recorded)
+    assert (dataset.num_episodes, dataset.num_frames, dataset.fps) == (len(LENGTHS), sum(LENGTHS), 30)
+    assert dataset.meta.features["action"]["names"] == list(ACTIONS)
+    first = next(random_episodes())
+    last = LENGTHS[0] - 1
+    item = dataset[last]
+    assert np.array_equal(np.rint(item[AVATAR].numpy() * 255).transpose(1, 2, 0), first["images"][last])
+    assert item["action"].argmax() == item["discrete_action"] == first["actions"][last]
+    assert item["phase"] == first["phases"][last]
+    assert item["next.reward"] == first["rewards"][last]
+    assert item["next.done"] and item["next.success"]
+    assert not dataset[last - 1]["next.done"] and not dataset[last - 1]["next.success"]
+
+
+def test_lerobot_reads_the_view(tmp_path):
+    root = tmp_path / "viewed"
+    episode = next(random_episodes((6,), shape=(24, 32, 3)))
+    views = np.full((6, 240, 320, 3), 90, np.uint8)
+    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=True) as writer:
+        writer.add_episode(**episode, views=views)
+    view = open_with_lerobot(root)[3][VIEW]
+    assert view.shape == (3, 240, 320) and abs(float(view.mean()) - 90 / 255) < 0.03
+
+
+def test_nothing_but_the_dataset_is_left(recorded):
+    assert [path.name for path in recorded.parent.iterdir()] == [recorded.name]
+    assert sorted(path.name for path in recorded.iterdir()) == ["data", "meta"]
+    assert json.loads((recorded / "meta/dpmacro.json").read_text()) == {"world": WORLD}
+
+
+@pytest.mark.parametrize(("error", "view"), [(KeyboardInterrupt, False), (RuntimeError, True)])
+def test_an_interrupted_recording_leaves_nothing(tmp_path, monkeypatch, error, view):
+    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view)
+    views = {"views": np.zeros((12, 240, 320, 3), np.uint8)} if view else {}
+    closed = []
+    with pytest.raises(error), writer:
+        writer.add_episode(**next(random_episodes()), **views)
+        assert [path.name for path in tmp_path.iterdir()] != ["d"]
+        # Open parquet files abort the interpreter at its end, and encoder threads wait for more.
+        finalize = writer._dataset.finalize
+        monkeypatch.setattr(writer._dataset, "finalize", lambda: closed.append(finalize()))
+        raise error
+    assert closed == [None]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_without_episodes_leaves_nothing(tmp_path):
+    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, False)
+    with pytest.raises(ValueError, match="no episode was added"), writer:
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_exists_is_never_overwritten(tmp_path):
+    root = tmp_path / "mine"
+    root.mkdir()
+    with pytest.raises(DatasetError, match="mine: exists already; remove it"):
+        DemonstrationWriter.create(root, ACTIONS, 30, WORLD, False)
+    root.rmdir()
+    writer = DemonstrationWriter.create(root, ACTIONS, 30, WORLD, False)
+    with pytest.raises(DatasetError, match="exists already"), writer:
+        writer.add_episode(**next(random_episodes()))
+        root.mkdir()
+        (root / "kept").touch()
+    assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == ["mine", "mine/kept"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"actions": np.full(12, 3)}, r"actions from 3 to 3; there are 3, forward"),
+        ({"actions": np.full(12, -1)}, r"actions from -1 to -1"),
+        ({"views": np.zeros((12, 240, 320, 3), np.uint8)}, r"views given: True"),
+        (
+            {name: value[:1] for name, value in next(random_episodes()).items() if name != "success"},
+            r"1 frame",
+        ),
+    ],
+)
+def test_what_is_no_episode_is_refused(tmp_path, changes, message):
+    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, False)
+    with pytest.raises(ValueError, match=message), writer:
+        writer.add_episode(**(next(random_episodes()) | changes))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_action_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="at least two actions"):
+        DemonstrationWriter.create(tmp_path / "d", ("go",), 30, WORLD, False)
+
+
+def test_writing_is_silent_and_leaves_no_state(tmp_path, capfd, monkeypatch):
+    import datasets
+
+    monkeypatch.delenv("SVT_LOG", raising=False)
+    assert not datasets.are_progress_bars_disabled()
+    views = np.zeros((12, 240, 320, 3), np.uint8)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default", RuntimeWarning)
+        with DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, True) as writer:
+            writer.add_episode(**next(random_episodes()), views=views)
+    assert [str(warning.message) for warning in caught if warning.category is RuntimeWarning] == []
+    assert capfd.readouterr() == ("", "")
+    assert not datasets.are_progress_bars_disabled() and "SVT_LOG" not in os.environ
+
+
+EDITS = """
+import sys
+from lerobot.scripts.lerobot_edit_dataset import main
+operations = {
+    "info": ["--repo_id=local/demo"],
+    "split": ["--repo_id=local/demo", "--operation.splits={'train': [0, 3], 'val': [1, 2]}"],
+    # 0.4.4 names the result by repo_id, 0.6.1 by new_repo_id.
+    "merge": [
+        "--repo_id=local/merged",
+        "--new_repo_id=local/merged",
+        "--operation.repo_ids=['local/demo_val', 'local/demo_train']",
+    ],
+    "delete_episodes": [
+        "--repo_id=local/demo",
+        "--new_repo_id=local/deleted",
+        "--operation.episode_indices=[1]",
+    ],
+}
+for operation, options in operations.items():
+    sys.argv = ["lerobot-edit-dataset", f"--operation.type={operation}", *options]
+    main()
+"""
+
+
+def test_lerobots_editing_tools_work_on_it(recorded, tmp_path):
+    """Under $HF_LEROBOT_HOME and without --root, where both supported versions agree what goes where."""
+    home = tmp_path / "home"
+    (home / "local").mkdir(parents=True)
+    (home / "local/demo").symlink_to(recorded)
+    done = subprocess.run(
+        [sys.executable, "-c", EDITS],
+        env=os.environ | {"HF_LEROBOT_HOME": str(home)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "local/demo" in done.stdout + done.stderr
+    episodes = [episode["images"] for episode in random_episodes()]
+    for name, order in {
+        "demo_train": (0, 3),
+        "demo_val": (1, 2),
+        "merged": (1, 2, 0, 3),
+        "deleted": (0, 2, 3),
+    }.items():
+        loaded = Demonstrations.load(home / "local" / name)
+        assert np.array_equal(loaded.images, np.concatenate([episodes[index] for index in order])), name
+        assert loaded.action_names == ACTIONS
+        reverse = list(range(len(order)))[::-1]
+        assert loaded.select(reverse).lengths.tolist() == [LENGTHS[order[index]] for index in reverse]
+        part = Demonstrations.load(home / "local" / name, episodes=[1])
+        assert np.array_equal(part.images, episodes[order[1]])

@@ -1,0 +1,96 @@
+"""Switch functions on trajectories whose change can be seen, and on some where it cannot."""
+
+import pytest
+import torch
+
+from dpmacro.learners.stumps import SortedLevels, StumpLearner
+from dpmacro.switching import causal_labels, fit_switches, folds_of, macro_segments, starting_macro
+
+
+def trajectories(n=12, visible=True, seed=0):
+    """Two macro-actions; where `visible`, column 0 is high at the change and for nine frames after it."""
+    generator = torch.Generator().manual_seed(seed)
+    labels, columns, lengths = [], [], []
+    for _ in range(n):
+        length = int(torch.randint(60, 90, (1,), generator=generator))
+        cut = int(torch.randint(20, 40, (1,), generator=generator))
+        part = torch.randint(0, 120, (6, length), dtype=torch.uint8, generator=generator)
+        if visible:
+            part[0, cut : cut + 10] = 200
+        labels.append((torch.arange(length) >= cut).long())
+        columns.append(part)
+        lengths.append(length)
+    learner = StumpLearner(SortedLevels.build(torch.cat(columns, 1)))
+    return learner, torch.cat(labels), torch.tensor(lengths)
+
+
+def test_a_visible_change_is_recognised_when_it_comes():
+    learner, labels, lengths = trajectories()
+    switches = fit_switches(learner, labels, lengths, torch.Generator().manual_seed(0), rounds=10)
+    assert switches.pairs == [(0, 1)]
+    assert switches.detected.tolist() == [1.0]
+    causal = causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, 0)
+    assert torch.equal(causal, labels)
+
+
+def test_an_invisible_change_is_not():
+    learner, labels, lengths = trajectories(visible=False)
+    switches = fit_switches(learner, labels, lengths, torch.Generator().manual_seed(0), rounds=10)
+    assert float(switches.detected[0]) < 0.5
+
+
+def test_held_out_scores_never_saw_their_trajectory():
+    learner, labels, lengths = trajectories(visible=False)
+    switches = fit_switches(learner, labels, lengths, torch.Generator().manual_seed(0), rounds=40)
+    fitted = switches.classifier.scores(learner.data.levels)[:, 0, 0]
+    change = labels.diff(prepend=labels[:1]) > 0
+    assert float(fitted[change].min()) > float(switches.held_out[change, 0].mean())
+
+
+def test_every_observed_change_gets_a_switch_function():
+    learner, _, _ = trajectories(n=1)
+    labels = torch.arange(learner.n_frames) // 10 % 3
+    switches = fit_switches(learner, labels, torch.tensor([learner.n_frames]), torch.Generator(), rounds=3)
+    assert switches.pairs == [(0, 1), (1, 2), (2, 0)]
+    assert switches.held_out.shape == (learner.n_frames, 3)
+    assert len(switches.thresholds) == len(switches.detected) == 3
+
+
+def test_without_a_change_there_is_no_switch_function():
+    learner, labels, lengths = trajectories()
+    switches = fit_switches(learner, torch.zeros_like(labels), lengths, torch.Generator(), rounds=3)
+    assert switches.pairs == [] and switches.classifier is None
+
+
+def test_segments_know_what_follows():
+    events = macro_segments(torch.tensor([0, 0, 1, 1, 1, 0, 2, 2]), torch.tensor([5, 3]))
+    seen = [(e.trajectory, e.macro, e.start, e.stop, e.following, e.following_stop) for e in events]
+    assert seen == [
+        (0, 0, 0, 2, 1, 5),
+        (0, 1, 2, 5, None, 5),
+        (1, 0, 5, 6, 2, 8),
+        (1, 2, 6, 8, None, 8),
+    ]
+
+
+def test_causal_labels_take_the_first_firing_and_the_strongest_of_several():
+    scores = torch.tensor([[0.0, 0, 0], [1, 2, 0], [0, 0, 5], [0, 0, 5], [0, 0, 0]])
+    labels = causal_labels(
+        scores, torch.tensor([0.5, 0.5, 0.5]), [(0, 1), (0, 2), (2, 0)], torch.tensor([3, 2]), 0
+    )
+    assert labels.tolist() == [0, 2, 0, 0, 0]
+
+
+def test_the_starting_macro_is_the_most_common_first_label():
+    assert starting_macro(torch.tensor([1, 0, 1, 2, 2, 0]), torch.tensor([2, 1, 3])) == 1
+
+
+def test_folds_are_even():
+    assert folds_of(11, 4, torch.Generator().manual_seed(0)).bincount().tolist() == [3, 3, 3, 2]
+
+
+@pytest.mark.parametrize(("window", "rounds", "message"), [(0, 5, "window is 0"), (3, 0, "rounds 0")])
+def test_bad_arguments_are_named(window, rounds, message):
+    learner, labels, lengths = trajectories(n=2)
+    with pytest.raises(ValueError, match=message):
+        fit_switches(learner, labels, lengths, torch.Generator(), window=window, rounds=rounds)

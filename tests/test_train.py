@@ -1,0 +1,175 @@
+"""train.py: from a dataset to a run folder, and one line for every mistake."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+from test_demonstrations import SPOILED, root  # noqa: F401  a fixture
+
+import train
+from dpmacro import cli
+from dpmacro.demonstrations import Demonstrations
+from dpmacro.features import previous_images
+from dpmacro.options import TrainOptions
+from dpmacro.policy import MacroPolicy
+
+SMALL = [
+    "--planner.rounds=12",
+    "--planner.restarts=4",
+    "--planner.rectangles=150",
+    "--planner.switch_rounds=5",
+]
+
+
+def call(monkeypatch, *arguments):
+    """Run the script's own path from arguments to exit status in this process."""
+    monkeypatch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
+    cli.run(train.main, TrainOptions)
+
+
+@pytest.fixture(scope="module")
+def trained(recorded, tmp_path_factory) -> Path:
+    """The run folder of a small DPBoost training."""
+    output = tmp_path_factory.mktemp("runs") / "dpboost"
+    with pytest.MonkeyPatch.context() as patch:
+        call(patch, f"--dataset.root={recorded}", f"--output_dir={output}", *SMALL)
+    return output
+
+
+def test_a_run_folder_holds_what_lerobot_users_look_for(trained, recorded):
+    checkpoint = trained / "checkpoints" / "000012"
+    assert (trained / "checkpoints" / "last").resolve() == checkpoint.resolve()
+    options = json.loads((checkpoint / "pretrained_model/train_config.json").read_text())
+    assert options["dataset"]["root"] == str(recorded)
+    assert options["planner"]["rounds"] == 12
+    state = load_file(checkpoint / "training_state/segmentation.safetensors")
+    assert len(state["labels"]) == int(state["lengths"].sum()) == 30
+    assert {path.name for path in (trained / "figures").iterdir()} == {"timeline.png", "segmentation.png"}
+    assert not list(trained.rglob(".*")), "no temporary file stays"
+
+
+def test_tensorboard_has_the_quantities_of_every_stage(trained):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(trained / "tensorboard")).Reload()
+    scalars = set(events.Tags()["scalars"])
+    for stage in ("discover", "fit", "switch"):
+        assert {f"loss/{stage}", f"accuracy/{stage}", f"time/{stage}_seconds_per_round"} <= scalars
+    for name in (
+        "label_changes",
+        "mean_segment_frames",
+        "occupancy_0",
+        "occupancy_1",
+        "agreement_with_phase",
+    ):
+        assert f"segmentation/fit/{name}" in scalars
+    assert set(events.Tags()["images"]) == {"segmentation/timeline", "segmentation/segmentation"}
+    assert len(events.Scalars("loss/fit")) == 12
+
+
+def test_the_policy_sees_in_a_run_what_the_trainer_saw(trained, recorded):
+    """Levels of a replayed episode, frame by frame as the planner computes them, equal those of the batch."""
+    policy = MacroPolicy.load(trained / "checkpoints/last/pretrained_model")
+    demonstrations = Demonstrations.load(recorded)
+    images = torch.from_numpy(demonstrations.images)
+    previous = previous_images(images, torch.from_numpy(demonstrations.lengths))
+    batch = policy.quantiser.levels(policy.features.values(images, previous))
+    for trajectory in demonstrations.trajectories:
+        state = policy.initial_state(1)
+        for n in range(trajectory.start, trajectory.stop):
+            before = images[n : n + 1] if state.previous is None else state.previous
+            single = policy.quantiser.levels(policy.features.values(images[n : n + 1], before))
+            assert torch.equal(single[:, 0], batch[:, n])
+            state = policy.act(images[n : n + 1], state)[1]
+
+
+def test_a_seed_repeats_the_policy(trained, recorded, tmp_path, monkeypatch):
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'again'}", *SMALL)
+    first, second = (
+        load_file(folder / "checkpoints/last/pretrained_model/model.safetensors")
+        for folder in (trained, tmp_path / "again")
+    )
+    assert first.keys() == second.keys()
+    assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+@pytest.mark.parametrize("features", ["rectangles", "pixels"])
+def test_the_baseline_is_one_classifier_without_switches(recorded, tmp_path, monkeypatch, features):
+    call(
+        monkeypatch,
+        f"--dataset.root={recorded}",
+        "--planner.type=baseline",
+        f"--planner.features={features}",
+        f"--output_dir={tmp_path / 'run'}",
+        *SMALL,
+    )
+    policy = MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model")
+    assert (policy.config.type, policy.config.macros, policy.config.switches) == ("baseline", 1, ())
+
+
+MISTAKES = {
+    "no root": ([], "give --dataset.root="),
+    "missing dataset": (["--dataset.root={tmp}/nowhere"], "nowhere"),
+    "missing episode": (["--dataset.root={data}", "--dataset.episodes=[7]"], "7"),
+    "unknown option": (["--dataset.root={data}", "--planner.macro=2"], r"did you mean --planner\.macros\?"),
+    "unreadable value": (["--dataset.root={data}", "--planner.macros=two"], "planner.macros"),
+    "no macros": (["--dataset.root={data}", "--planner.macros=0"], "planner.macros is 0"),
+    "more macros than frames": (
+        ["--dataset.root={data}", "--planner.macros=31", "--output_dir={tmp}/run"],
+        "planner.macros is 31 but",
+    ),
+    "unknown planner": (["--dataset.root={data}", "--planner.type=act"], "planner.type is 'act'"),
+    "unknown features": (["--dataset.root={data}", "--planner.features=hog"], "planner.features is 'hog'"),
+    "no device": (["--dataset.root={data}", "--device=cuda:99"], "give --device=cpu"),
+    "negative seed": (["--dataset.root={data}", "--seed=-1"], "seed is -1"),
+    "shrinkage": (["--dataset.root={data}", "--planner.shrinkage=0"], "planner.shrinkage is 0"),
+    "existing folder": (["--dataset.root={data}", "--output_dir={data}"], "choose another --output_dir"),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_a_mistake_gets_one_line_and_status_2(recorded, tmp_path, monkeypatch, capsys, case):
+    arguments, message = MISTAKES[case]
+    arguments = [argument.format(data=recorded, tmp=tmp_path) for argument in arguments]
+    refused(monkeypatch, capsys, arguments, message)
+    assert not list(tmp_path.iterdir()), "nothing is left behind"
+
+
+@pytest.mark.parametrize("case", SPOILED)
+def test_a_spoiled_dataset_gets_one_line_and_status_2(root, tmp_path, monkeypatch, capsys, case):  # noqa: F811
+    spoil, message = SPOILED[case]
+    spoil(root)
+    refused(monkeypatch, capsys, [f"--dataset.root={root}", f"--output_dir={tmp_path / 'run'}"], message)
+    assert not (tmp_path / "run").exists()
+
+
+def refused(monkeypatch, capsys, arguments, message):
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, *arguments)
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert stop.value.code == 2
+    assert len(lines) == 1 and lines[0].startswith("error: ")
+    assert re.search(message, lines[0])
+
+
+def test_the_process_itself_exits_with_status_2_and_one_line():
+    done = subprocess.run(
+        [sys.executable, "train.py", "--dataset.root=nowhere"],
+        cwd=Path(train.__file__).parent,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "nowhere" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_lengths_are_counted_per_demonstration(trained):
+    lengths = load_file(trained / "checkpoints/last/training_state/segmentation.safetensors")["lengths"]
+    assert np.array_equal(lengths.numpy(), [12, 7, 2, 9])
