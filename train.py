@@ -3,8 +3,8 @@
     python train.py --dataset.root=datasets/two_flags_random --planner.type=dpboost --planner.macros=2
     python train.py --dataset.root=datasets/two_flags_random --planner.type=baseline
 
-Finds macro-actions, fits a strong classifier to each and switch functions between them, and saves a policy for
-eval.py in `<output_dir>/checkpoints/last/pretrained_model`, with pictures and TensorBoard events beside it.
+Finds macro-actions, fits a strong classifier to each and switch functions between them, and saves a policy
+for eval.py in `<output_dir>/checkpoints/last/pretrained_model`, pictures and TensorBoard events beside it.
 """
 
 import time
@@ -19,9 +19,9 @@ from dpmacro.training import Trainer, TrainingResult
 def main(options: TrainOptions) -> None:
     job_name = options.job_name or options.planner.type
     folder = RunFolder(options.output_dir) if options.output_dir else RunFolder.dated(job_name)
-    demonstrations = Demonstrations.load(
-        options.dataset.root, options.dataset.episodes, options.dataset.camera
-    )
+    dataset = options.dataset
+    assert dataset.root is not None, "the options checked it"
+    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera)
     started = time.perf_counter()
     result = Trainer(demonstrations, options, folder).train()
     print(report(result, folder, time.perf_counter() - started))
@@ -31,7 +31,7 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     """What was found, for people."""
     occupancy = result.discovery.labels.bincount(minlength=result.policy.config.macros).tolist()
     lines = [
-        f"objective    {float(result.discovery.loss[-1]):.4f} a frame after {len(result.discovery.loss)} rounds"
+        f"objective    {float(result.discovery.loss[-1]):.4f} a frame, {len(result.discovery.loss)} rounds"
     ]
     lines += [f"macro {macro}      {frames} frames" for macro, frames in enumerate(occupancy)]
     shares = result.switches.detected.tolist()

@@ -1,7 +1,8 @@
 """The one boosting loop: strong classifiers grown a round at a time, many problems side by side.
 
 AdaBoost.MH (Schapire and Singer 1999): for every problem p the strong classifier
-f_p^m(x) = sum_t h_{p,t}^m(x) lowers sum_n d_{n,p} sum_m exp(-y_{n,p}^m f_p^m(x_n)), where d is the frame's base weight in the problem.
+f_p^m(x) = sum_t h_{p,t}^m(x) lowers sum_n d_{n,p} sum_m exp(-y_{n,p}^m f_p^m(x_n)), where d is the frame's
+base weight in the problem.
 The macro-classes of DPBoost, the baseline and the switch functions are all problems of this kind.
 """
 

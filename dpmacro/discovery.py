@@ -1,10 +1,11 @@
-"""DPBoost: macro-labels and a strong classifier per macro-action, by boosting and segmentation in alternation.
+"""DPBoost: macro-labels and a strong classifier per macro-action, boosting and segmentation in turn.
 
     L(q, f) = sum_n sum_m exp(-y_n^m f_{q_n}^m(x_n))   subject to   #{n : q_n != q_{n+1}} <= S
 
-in every trajectory (Lefakis and Fleuret, Section III). The objective has many local optima, so the alternation
-starts from many seeded initial segmentations side by side, on a few dozen random stump candidates a round.
-Left-out trajectories choose among the distinct outcomes, and the chosen one is refitted with the exact learner.
+in every trajectory (Lefakis and Fleuret, Section III). The objective has many local optima, so the
+alternation starts from many seeded initial segmentations side by side, on a few dozen random stump
+candidates a round. Left-out trajectories choose among the distinct outcomes, and the chosen one is
+refitted with the exact learner.
 """
 
 from collections.abc import Callable, Sequence
@@ -141,7 +142,8 @@ class DPBoost:
         _check(data, actions, lengths, self.macros)
         generator = torch.Generator().manual_seed(self.seed)
         task = _Task(actions.to(self.device), lengths, int(actions.max()) + 1)
-        candidates, verdicts = None, {}
+        candidates: Candidates | None = None
+        verdicts: dict[int, Verdict] = {}
         labels = torch.zeros(1, len(actions), dtype=torch.int64)
         if self.macros > 1 and self.max_transitions > 0:
             candidates = self._discover(data, task, generator, on_round)
@@ -199,8 +201,8 @@ class DPBoost:
     ) -> Candidates:
         """Boosting rounds, each followed by a segmentation once the warm-up is over.
 
-        Boosting lowers the objective with the labels held, segmentation lowers it with the classifiers held and
-        the labels so far among its choices: it never rises, which is asserted up to rounding.
+        Boosting lowers the objective with the labels held, segmentation lowers it with the classifiers
+        held and the labels so far among its choices: it never rises, which is asserted up to rounding.
         """
         restarts, n_frames = labels.shape
         labels, repeated = labels.to(self.device), task.lengths.repeat(restarts)
@@ -226,7 +228,7 @@ class DPBoost:
     def _choose(
         self, data: SortedLevels, task: _Task, candidates: Candidates, generator: torch.Generator
     ) -> tuple[Int64[Tensor, "1 frames"], dict[int, Verdict]]:
-        """The candidate with the least causal error; with a single trajectory, the one with the least loss."""
+        """The candidate with the least causal error; of a single trajectory, the one with the least loss."""
         order = candidates.loss[-1].argsort()
         order = order[distinct(candidates.labels[order])]
         if len(task.lengths) < 2:

@@ -44,8 +44,9 @@ def segment(
         costs: c_n(q) of every frame, trajectories concatenated; finite.
         lengths: frames of each trajectory, at least 1 each; they add up to the number of frames.
         max_transitions: S >= 0, the bound in every single trajectory.
-        transition_costs: [frames, macros, macros], T_n(q', q), the cost of frame n being the first after a change from q' to q;
-            finite where q' != q; the first frame of a trajectory and the diagonal are never read.
+        transition_costs: [frames, macros, macros], T_n(q', q), the cost of frame n being the first after
+            a change from q' to q; finite where q' != q; the first frame of a trajectory and the diagonal
+            are never read.
 
     Of equally cheap labellings one with the fewest transitions comes back, and always the same one.
     Works on the device of `costs`, in float64 since prefix sums cancel.

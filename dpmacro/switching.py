@@ -1,10 +1,11 @@
 """Switch functions: when to leave a macro-action, learned from the change points of a segmentation.
 
-For every observed change q -> q' a binary strong classifier H_q^q' (Section IV of the paper) separates the J frames
-from the change on (positives) from the frames of q (negatives), both sides weighing the same. Its
+For every observed change q -> q' a binary strong classifier H_q^q' (Section IV of the paper) separates the J
+frames from the change on (positives) from the frames of q (negatives), both sides weighing the same. Its
 threshold is calibrated on trajectories that its training left out.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -91,8 +92,9 @@ def fit_switches(
     Args:
         learner: finds the stumps; holds the frames.
         labels, lengths: the segmentation.
-        window: J >= 1, the positive frames from a change on. Later ones show what the next macro-action does, which a
-            planner that waits for the change never sees: with J = 10 it takes a correction for the change.
+        window: J >= 1, the positive frames from a change on. Later ones show what the next macro-action
+            does, which a planner that waits for the change never sees: with J = 10 a correction near the
+            flag passes for the change.
         rounds: boosting rounds.
         shrinkage: factor in (0, 1] on every weak hypothesis.
         folds: parts that trajectories are dealt into by `generator`; each part is scored by a switch function
@@ -146,7 +148,7 @@ def causal_labels(
     lengths: Int64[Tensor, " trajectories"],
     first_macro: int,
 ) -> Int64[Tensor, " frames"]:
-    """The macro-labels that the switch functions choose when they run, frame after frame, never looking ahead."""
+    """The macro-labels that the switch functions choose as they run, frame by frame, never looking ahead."""
     labels = torch.full((len(scores),), first_macro, dtype=torch.int64)
     for start, length in zip((lengths.cumsum(0) - lengths).tolist(), lengths.tolist(), strict=True):
         stop, frame, macro = start + length, start, first_macro
@@ -179,7 +181,7 @@ def _examples(
     n_frames: int,
     window: int,
 ) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """Base weights, half on each side, and targets of one switch function that never sees the fold `left_out`."""
+    """Base weights, half a side, and targets of a switch function that never sees the fold `left_out`."""
     weights = torch.zeros(n_frames)
     targets = torch.zeros(n_frames, dtype=torch.bool)
     macro, following = pair
@@ -203,11 +205,11 @@ def _peaks(
 
     Only the first frame counts: a planner that has not changed by then will not see the frames that follow.
     """
-    peaks = []
-    for event in events:
-        if (event.macro, event.following) == pair:
-            peaks.append((float(scores[event.start : event.stop].max()), float(scores[event.stop])))
-    return peaks
+    return [
+        (float(scores[event.start : event.stop].max()), float(scores[event.stop]))
+        for event in events
+        if (event.macro, event.following) == pair
+    ]
 
 
 def _calibrate(peaks: list[tuple[float, float]]) -> tuple[float, float]:
@@ -219,7 +221,7 @@ def _calibrate(peaks: list[tuple[float, float]]) -> tuple[float, float]:
     levels = sorted({value for peak in peaks for value in peak})
     ranges = [
         (sum(before <= low and high <= at for before, at in peaks), high - low, (low + high) / 2)
-        for low, high in zip(levels, levels[1:], strict=False)
+        for low, high in itertools.pairwise(levels)
     ]
     in_time, _, threshold = max(ranges, default=(0, 0.0, 0.0))
     return (threshold, in_time / len(peaks)) if in_time else (0.0, 0.0)

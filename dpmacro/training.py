@@ -17,8 +17,8 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from dpmacro import figures
-from dpmacro.demonstrations import Demonstrations
 from dpmacro.boosting import Round
+from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
 from dpmacro.features import FeatureSet, Quantiser, make_features, previous_images
 from dpmacro.learners.stumps import SortedLevels, StumpLearner
@@ -62,7 +62,8 @@ class Trainer:
         self._macros = 1 if options.planner.type == "baseline" else options.planner.macros
         if self._macros > len(self.actions):
             raise ValueError(
-                f"planner.macros is {self._macros} but {demonstrations.root} holds {len(self.actions)} frames: ask for fewer"
+                f"planner.macros is {self._macros} but {demonstrations.root} has {len(self.actions)} frames: "
+                "ask for fewer"
             )
 
     def train(self) -> TrainingResult:

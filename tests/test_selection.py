@@ -8,7 +8,7 @@ from dpmacro.selection import distinct, judge
 
 
 def visible_change(n=12, length=80):
-    """Column 0 is high for three frames from the change on; column 1 decides the action before, column 2 after."""
+    """Column 0 is high for three frames from the change on; column 1 decides before it, column 2 after."""
     generator = torch.Generator().manual_seed(0)
     levels = torch.randint(0, 120, (6, n * length), dtype=torch.uint8, generator=generator)
     truth = torch.zeros(n, length, dtype=torch.int64)

@@ -6,10 +6,9 @@ import torch
 from jaxtyping import Bool, Float, Int32, Int64, UInt8
 from torch import Tensor
 
-from dpmacro.features import LEVELS
-
 __all__ = ["SortedLevels", "StumpClassifier", "StumpLearner", "Stumps"]
 
+LEVELS = 256  # a level is a byte
 CHUNK_COLUMNS = 256  # columns whose histograms are in memory at a time
 
 

@@ -8,8 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.features import LEVELS
-from dpmacro.learners.stumps import SortedLevels, StumpLearner
+from dpmacro.learners.stumps import LEVELS, SortedLevels, StumpLearner
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 
@@ -45,7 +44,7 @@ def test_equals_a_plain_loop(device, seed, n_frames, n_classes, coarse):
         torch.tensor(weights, device=device), torch.tensor(targets, device=device), torch.Generator()
     )
     for problem in range(2):
-        z, column, threshold = plain_search(levels, weights[:, problem].astype(float), targets[:, 0])
+        z, column, _ = plain_search(levels, weights[:, problem].astype(float), targets[:, 0])
         found = int(stumps.columns[problem]), int(stumps.thresholds[problem])
         side = levels[found[0]] <= found[1]
         z_found = sum(
