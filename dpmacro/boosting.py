@@ -23,12 +23,15 @@ MARGIN_LIMIT = 18.0  # exp(18) = 6.6e7: prefix sums of such costs keep 1e-5 in f
 class Round:
     """What a boosting round reports to whoever watches."""
 
-    stage: str  # discover | fit | switch
+    stage: str  # discover | judge | recognise | fit | switch
     number: int  # from 1
     total: int
     loss: float  # exponential loss per frame; of the best restart while discovering
     accuracy: float  # share of training frames whose class is right, likewise
-    labels: Int64[Tensor, " frames"] | None  # macro-labels, likewise; None for switch functions
+    labels: (
+        Int64[Tensor, " frames"] | None
+    )  # macro-labels, likewise; None where there is not one segmentation
+    label_changes: float = 0.0  # share of frames whose macro-label this round changed
 
 
 class Boosting:

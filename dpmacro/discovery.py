@@ -68,13 +68,14 @@ class DPBoost:
         macros: Q >= 1; 1 is the baseline, a single classifier.
         max_transitions: S >= 0, the bound in every trajectory; None for Q - 1.
         rounds: boosting rounds of the exact fit.
-        learner: makes a weak learner from sorted levels.
+        learner: makes the weak learner of the exact fit from sorted levels; stumps discover and judge.
         restarts: initial segmentations, the first half from feature peaks, the rest random cuts.
         seed: of every draw.
         device: where tensors live.
         shrinkage: factor in (0, 1] on every weak hypothesis.
-        discovery_rounds, warmup: rounds from every initial segmentation, and how many of them keep its
-            labels: relabelling by barely trained classifiers forgets a good start.
+        discovery_rounds: rounds from every initial segmentation.
+        warmup: rounds that keep the labels they start from, at most half of a stage: relabelling by barely
+            trained classifiers forgets a good start. After it the labels are re-estimated every round.
         candidates: random columns searched a round while discovering.
 
     Raises ValueError naming the argument that is out of range.
@@ -137,7 +138,7 @@ class DPBoost:
         are more macro-actions than frames.
         """
         actions = torch.as_tensor(actions).long()
-        lengths = torch.as_tensor(lengths).long()
+        lengths = torch.as_tensor(lengths).long().cpu()
         data, quantiser = self._prepare(features)
         _check(data, actions, lengths, self.macros)
         generator = torch.Generator().manual_seed(self.seed)
@@ -147,7 +148,7 @@ class DPBoost:
         labels = torch.zeros(1, len(actions), dtype=torch.int64)
         if self.macros > 1 and self.max_transitions > 0:
             candidates = self._discover(data, task, generator, on_round)
-            labels, verdicts = self._choose(data, task, candidates, generator)
+            labels, verdicts = self._choose(data, task, candidates, on_round)
         boosting = self._boosting(self.learner(data), task, 1, generator)
         fitted = self._alternate(boosting, task, labels, "fit", self.rounds, on_round)
         return DPBoostResult(
@@ -158,8 +159,15 @@ class DPBoost:
         self, features: Num[Tensor, "frames columns"] | np.ndarray | SortedLevels
     ) -> tuple[SortedLevels, Quantiser | None]:
         if isinstance(features, SortedLevels):
+            if features.levels.device != self.device:
+                raise ValueError(
+                    f"levels are on {features.levels.device} and device is {self.device}: use one"
+                )
             return features, None
-        values = torch.as_tensor(features).to(self.device).T.contiguous()
+        values = torch.as_tensor(features).to(self.device)
+        if values.ndim != 2 or 0 in values.shape:
+            raise ValueError(f"features have shape {tuple(values.shape)}: give [frames, columns]")
+        values = values.T.contiguous()
         if values.is_floating_point() and not bool(values.isfinite().all()):
             column, frame = (~values.isfinite()).nonzero()[0].tolist()
             raise ValueError(
@@ -179,7 +187,8 @@ class DPBoost:
     ) -> Candidates:
         """The alternation from every initial segmentation, on random stump candidates."""
         n_peaks = (self.restarts + 1) // 2
-        shape = (self.macros, self.max_transitions, generator)
+        bound = min(self.max_transitions, int(task.lengths.max()) - 1)
+        shape = (self.macros, bound, generator)
         initial = torch.cat(
             [
                 feature_peaks(data.levels, task.lengths, n_peaks, *shape),
@@ -206,15 +215,17 @@ class DPBoost:
         """
         restarts, n_frames = labels.shape
         labels, repeated = labels.to(self.device), task.lengths.repeat(restarts)
+        warmup = min(self.warmup, rounds // 2)
+        bound = min(self.max_transitions, int(task.lengths.max()) - 1)
         loss: list[Tensor] = []
         for number in range(1, rounds + 1):
             held = torch.nn.functional.one_hot(labels, self.macros).float()
             boosting.round(held.transpose(0, 1).flatten(1))
             costs = boosting.losses().unflatten(1, (restarts, self.macros)).transpose(0, 1)
-            if number > self.warmup and self.macros > 1:
-                labels = segment(costs.flatten(0, 1), repeated, self.max_transitions).labels.view(
-                    restarts, n_frames
-                )
+            changed = torch.zeros(restarts)
+            if number > warmup and self.macros > 1:
+                found = segment(costs.flatten(0, 1), repeated, bound).labels.view(restarts, n_frames)
+                changed, labels = (found != labels).float().mean(1), found
             loss.append(costs.gather(2, labels[:, :, None]).double().mean((1, 2)))
             risen = loss[-1] > loss[max(len(loss) - 2, 0)] * (1 + ROUNDING)
             assert not bool(risen.any()), f"the objective rose in round {number} of {stage}"
@@ -222,23 +233,29 @@ class DPBoost:
             held_by = best * self.macros + labels[best]
             chosen = boosting.scores[torch.arange(n_frames, device=self.device), held_by].argmax(1)
             accuracy = float((chosen == task.actions).float().mean())
-            on_round(Round(stage, number, rounds, float(loss[-1][best]), accuracy, labels[best]))
+            on_round(
+                Round(
+                    stage, number, rounds, float(loss[-1][best]), accuracy, labels[best], float(changed[best])
+                )
+            )
         return Candidates(labels.cpu(), torch.stack(loss).cpu())
 
     def _choose(
-        self, data: SortedLevels, task: _Task, candidates: Candidates, generator: torch.Generator
+        self,
+        data: SortedLevels,
+        task: _Task,
+        candidates: Candidates,
+        on_round: Callable[[Round], None],
     ) -> tuple[Int64[Tensor, "1 frames"], dict[int, Verdict]]:
         """The candidate with the least causal error; of a single trajectory, the one with the least loss."""
         order = candidates.loss[-1].argsort()
         order = order[distinct(candidates.labels[order])]
         if len(task.lengths) < 2:
             return candidates.labels[order[:1]], {}
-        learner = StumpLearner(data, candidates=self.candidates)
-        verdicts = judge(
-            learner, task.actions, task.lengths, candidates.labels[order], task.n_actions, generator
-        )
-        best = min(range(len(order)), key=lambda k: verdicts[k].causal_error)
-        return candidates.labels[order[best : best + 1]], dict(zip(order.tolist(), verdicts, strict=True))
+        rivals = candidates.labels[order]
+        verdicts = judge(data, task.actions, task.lengths, rivals, task.n_actions, self.seed, on_round)
+        best = min(verdicts, key=lambda k: verdicts[k].causal_error)
+        return rivals[best : best + 1], {int(order[k]): verdict for k, verdict in verdicts.items()}
 
 
 def _check(data: SortedLevels, actions: Tensor, lengths: Tensor, macros: int) -> None:

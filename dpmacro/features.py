@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Int32, Int64, Num, UInt8
+from jaxtyping import Int32, Int64, Num, UInt8
 from torch import Tensor
 
 __all__ = [
@@ -27,7 +27,6 @@ __all__ = [
 
 LEVELS = 256
 CHANNELS = 8
-MOTION = range(3, 6)  # the channels that hold differences to the previous image
 CHUNK_FRAMES = 32  # so many frames' integral images stay in the cache
 CHUNK_COLUMNS = 256
 
@@ -41,11 +40,6 @@ class FeatureSet(Protocol):
     @property
     def count(self) -> int:
         """The number of columns."""
-        ...
-
-    @property
-    def still(self) -> Bool[Tensor, " columns"]:
-        """Which columns look at the current image alone, blind to motion."""
         ...
 
     def values(
@@ -87,11 +81,6 @@ class Pixels:
         """The number of columns."""
         return len(self.places)
 
-    @property
-    def still(self) -> Bool[Tensor, " columns"]:
-        """The columns of the image itself, not of its difference."""
-        return self.places < 3 * self.height * self.width
-
     def values(
         self,
         images: UInt8[Tensor, "frames height width 3"],
@@ -102,9 +91,13 @@ class Pixels:
         plane = self.height * self.width
         channel, place = places // plane, places % plane
         flat = place * 3 + channel % 3
-        now = images.reshape(len(images), -1)[:, flat].T.to(torch.int32)
-        before = previous.reshape(len(previous), -1)[:, flat].T.to(torch.int32)
-        return now - torch.where((channel >= 3)[:, None], before, 0)
+        motion = (channel >= 3).to(torch.int32)[:, None]
+        result = torch.empty(self.count, len(images), dtype=torch.int32, device=images.device)
+        pairs = zip(images.split(CHUNK_FRAMES), previous.split(CHUNK_FRAMES), strict=True)
+        for chunk, (now, before) in zip(result.split(CHUNK_FRAMES, 1), pairs, strict=True):
+            old = before.flatten(1)[:, flat].T.to(torch.int32)
+            chunk.copy_(now.flatten(1)[:, flat].T.to(torch.int32) - motion * old)
+        return result
 
     def select(self, columns: Int64[Tensor, " selected"]) -> "Pixels":
         """Just these columns, in this order."""
@@ -157,11 +150,6 @@ class Rectangles:
     def count(self) -> int:
         """The number of columns."""
         return len(self.first)
-
-    @property
-    def still(self) -> Bool[Tensor, " columns"]:
-        """The columns of the image itself, not of its difference."""
-        return (self.first[:, 0] < MOTION.start) | (self.first[:, 0] >= MOTION.stop)
 
     def values(
         self,

@@ -34,14 +34,15 @@ def feature_peaks(
 
     A switch function sees images and nothing else, so a segmentation that can be run changes where something
     is seen. Every restart draws S columns, each with a sign, and cuts every trajectory where each has its
-    first maximum; macro-actions come in turn from the first.
+    first maximum after its first frame; macro-actions come in turn from the first.
     """
     shape = (restarts, max_transitions)
     columns = torch.randint(len(levels), shape, generator=generator)
     falling = torch.randint(2, shape, generator=generator, dtype=torch.bool)
     parts = []
-    for part in levels.cpu().split(lengths.tolist(), 1):
-        values = part[columns]  # [restarts, S, time]
-        peaks = torch.where(falling, values.argmin(2), values.argmax(2))
-        parts.append((torch.arange(part.shape[1]) >= peaks[:, :, None]).sum(1) % macros)
+    drawn = levels[columns.to(levels.device)].cpu()  # [restarts, S, frames]
+    for part in drawn.split(lengths.tolist(), 2):
+        later = part[:, :, 1:] if part.shape[2] > 1 else part
+        peaks = 1 + torch.where(falling, later.argmin(2), later.argmax(2))
+        parts.append((torch.arange(part.shape[2]) >= peaks[:, :, None]).sum(1) % macros)
     return torch.cat(parts, 1)

@@ -45,7 +45,7 @@ class PlannerOptions:
     rectangles: int = 4096
     """How many rectangles are drawn."""
     switch_window: int = 3
-    """J, the frames from a change on that a switch function should fire in."""
+    """J, the frames from a change on that are its positive examples."""
     switch_rounds: int = 60
     """Boosting rounds of the switch functions."""
     switch_shrinkage: float = 0.2

@@ -99,7 +99,7 @@ def fit_switches(
         shrinkage: factor in (0, 1] on every weak hypothesis.
         folds: parts that trajectories are dealt into by `generator`; each part is scored by a switch function
             that never saw it. The threshold is the middle of the widest range in which most left-out
-            segments fire within the J frames of their change and not before.
+            segments fire at the first frame of their change and not before.
         on_round: called after every round with the balanced loss and accuracy over all of them.
 
     All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
@@ -107,6 +107,8 @@ def fit_switches(
     """
     if window < 1 or rounds < 1:
         raise ValueError(f"window is {window} and rounds {rounds}: both must be 1 or more")
+    if folds < 2:
+        raise ValueError(f"folds is {folds}: give 2 or more, so that something can be left out")
     events = macro_segments(labels, lengths)
     pairs = sorted({(event.macro, event.following) for event in events if event.following is not None})
     if not pairs:

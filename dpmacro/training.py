@@ -31,7 +31,13 @@ from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
 
 __all__ = ["Trainer", "TrainingResult"]
 
-STAGES = {"discover": "Segmenting", "fit": "Boosting", "switch": "Switch functions"}  # names on the bars
+STAGES = {  # names on the bars
+    "discover": "Segmenting",
+    "judge": "Judging segmentations",
+    "recognise": "Recognising changes",
+    "fit": "Boosting",
+    "switch": "Switch functions",
+}
 
 
 @dataclass(frozen=True)
@@ -93,15 +99,13 @@ class Trainer:
             )
             monitor.close()
             policy = self._policy(features, quantiser, discovery, switches)
-            options = _plain(asdict(self.options))
-            pretrained = self.folder.checkpoint(
-                planner.rounds, policy, options, discovery.labels, self.lengths
-            )
             self._report(writer, discovery, switches)
+        options = _plain(asdict(self.options))
+        pretrained = self.folder.checkpoint(planner.rounds, policy, options, discovery.labels, self.lengths)
         return TrainingResult(policy, discovery, switches, pretrained)
 
     def _prepare(self) -> tuple[FeatureSet, Quantiser, SortedLevels]:
-        """Features of every frame, quantised and sorted, with a bar in columns."""
+        """Features of every frame, quantised and sorted."""
         images = torch.from_numpy(self.demonstrations.images).to(self.options.device)
         previous = previous_images(images, self.lengths)
         height, width = images.shape[1:3]
@@ -175,7 +179,6 @@ class _Monitor:
         self._demonstrations = demonstrations
         self._macros = macros
         self._bar: tqdm | None = None
-        self._labels: Int64[Tensor, " frames"] | None = None
         self._clock = time.perf_counter()
 
     def on_round(self, report: Round) -> None:
@@ -183,14 +186,14 @@ class _Monitor:
         self._advance(report.stage, report.number, report.total, report.loss)
         if report.labels is not None:
             self._log_segmentation(report.stage, report.number, report.labels.cpu())
+            changes = f"segmentation/{report.stage}/label_changes"
+            self._writer.add_scalar(changes, report.label_changes, report.number)
         self._writer.add_scalar(f"accuracy/{report.stage}", report.accuracy, report.number)
 
     def _log_segmentation(self, stage: str, number: int, labels: Int64[Tensor, " frames"]) -> None:
         lengths = torch.from_numpy(self._demonstrations.lengths)
         log = functools.partial(self._writer.add_scalar, global_step=number)
-        changed = 0.0 if self._labels is None else float((labels != self._labels).float().mean())
         n_segments = int(transition_counts(labels, lengths).sum()) + len(lengths)
-        log(f"segmentation/{stage}/label_changes", changed)
         log(f"segmentation/{stage}/mean_segment_frames", len(labels) / n_segments)
         for macro in range(self._macros):
             share = float((labels == macro).float().mean())
@@ -198,7 +201,6 @@ class _Monitor:
         if self._demonstrations.phase is not None:
             agreement = frame_accuracy(labels.numpy(), self._demonstrations.phase)
             log(f"segmentation/{stage}/agreement_with_phase", agreement)
-        self._labels = labels
 
     def close(self) -> None:
         """Finish the bar."""

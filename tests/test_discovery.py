@@ -54,9 +54,10 @@ def test_keeps_the_bound_and_never_lets_the_objective_rise(fitted):
 def test_reports_every_round(fitted):
     *_, result, reports = fitted
     stages = [report.stage for report in reports]
-    assert stages == ["discover"] * 80 + ["fit"] * 60
-    assert [report.number for report in reports[80:]] == list(range(1, 61))
-    assert [report.loss for report in reports[80:]] == pytest.approx(result.loss.tolist())
+    judged = ["judge"] * stages.count("judge") + ["recognise"] * len(result.verdicts)
+    assert stages == ["discover"] * 80 + judged + ["fit"] * 60
+    assert [report.number for report in reports[-60:]] == list(range(1, 61))
+    assert [report.loss for report in reports[-60:]] == pytest.approx(result.loss.tolist())
     assert reports[-1].accuracy > 0.95
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from dpmacro.learners.stumps import SortedLevels, StumpLearner
+from dpmacro.learners.stumps import SortedLevels
 from dpmacro.selection import distinct, judge
 
 
@@ -17,26 +17,24 @@ def visible_change(n=12, length=80):
         levels[0, row * length + cut : row * length + cut + 3] = 250
     truth = truth.flatten()
     actions = (levels[1 + truth, torch.arange(n * length)] > 60).long()
-    return StumpLearner(SortedLevels.build(levels)), actions, torch.full((n,), length), truth
+    return SortedLevels.build(levels), actions, torch.full((n,), length), truth
 
 
 def test_the_true_segmentation_has_the_least_causal_error():
-    learner, actions, lengths, truth = visible_change()
+    data, actions, lengths, truth = visible_change()
     shifted = truth.view(12, 80).roll(9, 1).flatten()
     one = torch.zeros_like(truth)
-    verdicts = judge(
-        learner, actions, lengths, torch.stack([shifted, truth, one]), 2, torch.Generator().manual_seed(0)
-    )
-    errors = [verdict.causal_error for verdict in verdicts]
+    verdicts = judge(data, actions, lengths, torch.stack([shifted, truth, one]), 2, seed=0)
+    errors = [verdicts[k].causal_error for k in range(3)]
     assert min(errors) == errors[1] < 0.6 * errors[2]
     assert verdicts[1].detected == 1.0
     assert verdicts[0].detected < 0.5
 
 
 def test_a_single_trajectory_cannot_be_judged():
-    learner, actions, _, truth = visible_change()
+    data, actions, _, truth = visible_change()
     with pytest.raises(ValueError, match="give two or more"):
-        judge(learner, actions, torch.tensor([960]), truth[None], 2, torch.Generator())
+        judge(data, actions, torch.tensor([960]), truth[None], 2, seed=0)
 
 
 def test_distinct_keeps_the_first_of_a_group():

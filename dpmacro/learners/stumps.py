@@ -101,11 +101,10 @@ class StumpLearner:
     wins; ties go to the first column, then to the lowest threshold. e is `smoothing` times the mean
     weight of a frame that has any, so votes stay finite and never overshoot the exact minimiser.
 
-    `allowed` columns are searched, or all; of them `candidates` drawn anew each round where it is not 0.
+    `candidates` columns drawn anew each round are searched instead of all where it is not 0.
     """
 
     data: SortedLevels
-    allowed: Int64[Tensor, " allowed"] | None = None
     candidates: int = 0
     smoothing: float = 0.5
 
@@ -166,11 +165,11 @@ class StumpLearner:
         )
 
     def _columns(self, generator: torch.Generator) -> Int64[Tensor, " searched"]:
-        columns = torch.arange(self.data.n_columns) if self.allowed is None else self.allowed.cpu()
-        if 0 < self.candidates < len(columns):
-            drawn = torch.randperm(len(columns), generator=generator)[: self.candidates]
-            columns = columns[drawn.sort().values]
-        return columns.to(self.device)
+        n_columns = self.data.n_columns
+        if not 0 < self.candidates < n_columns:
+            return torch.arange(n_columns, device=self.device)
+        drawn = torch.randperm(n_columns, generator=generator)[: self.candidates]
+        return drawn.sort().values.to(self.device)
 
     def _histograms(self, table: Tensor, columns: Tensor) -> Float[Tensor, "columns levels entries"]:
         """Weights per column and level: sorted frames are the bags' indices, level starts their offsets."""
