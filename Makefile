@@ -45,7 +45,8 @@ DATASET := datasets/two_flags_random
 EPISODES ?= 50
 SEED ?= 10000
 PLANNERS := teacher baseline dpboost
-RESULTS := $(PLANNERS:%=$(DEMO)/eval/%/eval_info.json)
+EVAL := $(DEMO)/eval/$(EPISODES)-from-$(SEED)
+RESULTS := $(PLANNERS:%=$(EVAL)/%/eval_info.json)
 evaluate = rm -rf $(@D) && $(BIN)/python eval.py --episodes=$(EPISODES) --seed=$(SEED) --workers=$(WORKERS) --output_dir=$(@D)
 
 demo: $(RESULTS) ## record 20 demonstrations, train baseline and DPBoost, run both and the teacher, print one table
@@ -61,13 +62,14 @@ $(DEMO)/train/%/checkpoints/last/pretrained_model/config.json: $(DATASET)/meta/i
 	$(BIN)/python train.py --dataset.root=$(DATASET) --planner.type=$* --output_dir=$(DEMO)/train/$*
 
 # The teacher sees positions, not pixels: small pictures save its time and change nothing.
-$(DEMO)/eval/teacher/eval_info.json: | $(INSTALLED)
+$(EVAL)/teacher/eval_info.json: | $(INSTALLED)
 	$(evaluate) --policy.type=teacher --world.render_size='[64,48]'
 
-$(DEMO)/eval/%/eval_info.json: $(DEMO)/train/%/checkpoints/last/pretrained_model/config.json
+$(EVAL)/%/eval_info.json: $(DEMO)/train/%/checkpoints/last/pretrained_model/config.json
 	$(evaluate) --policy.path=$(<D)
 
-.PRECIOUS: $(DEMO)/train/%/checkpoints/last/pretrained_model/config.json
+.SECONDARY:
+.DELETE_ON_ERROR:
 
 clean-demo: ## remove what make demo made
 	rm -rf $(DEMO) $(DATASET)

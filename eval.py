@@ -86,10 +86,14 @@ class EvalOptions:
 def main(options: EvalOptions) -> None:
     source, name, stored = planner(options.policy)
     given = {option: value for option, value in vars(options.world).items() if value is not None}
-    world = {"id": WORLD, **asdict(TwoFlagsConfig(**{**stored, **given}))}
+    try:
+        world = {"id": WORLD, **asdict(TwoFlagsConfig(**{**stored, **given}))}
+    except TypeError as error:  # values of another type in a policy's config.json
+        raise ValueError(f"the world {stored} of {options.policy.path} cannot be ({error})") from error
     output_dir = options.output_dir or default_output_dir(options.job_name or name)
     if (output_dir / "eval_info.json").exists():
         raise ValueError(f"{output_dir} already holds an eval_info.json: give another --output_dir")
+    output_dir.mkdir(parents=True, exist_ok=True)
 
     started = time.perf_counter()
     episodes = run(source, world, range(options.seed, options.seed + options.episodes), options.workers)
@@ -103,9 +107,9 @@ def main(options: EvalOptions) -> None:
     videos = write_videos(source, world, episodes, options.videos, output_dir / "videos" / f"{WORLD}_0")
     info = eval_info(episodes, summary, seconds, videos)
     info["dpmacro"].update(planner=name, policy_path=source.path and str(source.path), world=world)
+    write_scalars(info["overall"], output_dir / "tensorboard")
     with replacing(output_dir / "eval_info.json") as path:
         path.write_text(json.dumps(info, indent=2) + "\n")
-    write_scalars(info["overall"], output_dir / "tensorboard")
     print(f"written to  {output_dir}")
 
 

@@ -22,7 +22,7 @@ from dpmacro.initial import feature_peaks, random_cuts
 from dpmacro.learners import StrongClassifier, WeakLearner
 from dpmacro.learners.stumps import SortedLevels, StumpLearner
 from dpmacro.segmentation import segment
-from dpmacro.selection import Verdict, distinct, judge
+from dpmacro.selection import Verdict, best_verdict, distinct, judge
 
 __all__ = ["Candidates", "DPBoost", "DPBoostResult"]
 
@@ -247,14 +247,14 @@ class DPBoost:
         candidates: Candidates,
         on_round: Callable[[Round], None],
     ) -> tuple[Int64[Tensor, "1 frames"], dict[int, Verdict]]:
-        """The candidate with the least causal error; of a single trajectory, the one with the least loss."""
+        """The candidate with the best verdict; of a single trajectory, the one with the least loss."""
         order = candidates.loss[-1].argsort()
         order = order[distinct(candidates.labels[order])]
         if len(task.lengths) < 2:
             return candidates.labels[order[:1]], {}
         rivals = candidates.labels[order]
         verdicts = judge(data, task.actions, task.lengths, rivals, task.n_actions, self.seed, on_round)
-        best = min(verdicts, key=lambda k: verdicts[k].causal_error)
+        best = best_verdict(verdicts)
         return rivals[best : best + 1], {int(order[k]): verdict for k, verdict in verdicts.items()}
 
 

@@ -1,6 +1,7 @@
 """MacroPolicy: strong classifiers and switch functions that turn images into actions; saved and read back."""
 
 import json
+import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from dpmacro.features import FeatureSet, Quantiser, features_from
+from dpmacro.features import FEATURES, FeatureSet, Quantiser, features_from
 from dpmacro.files import replacing
 from dpmacro.learners import StrongClassifier
 from dpmacro.learners.stumps import StumpClassifier
@@ -37,6 +38,22 @@ class PolicyConfig:
     switches: tuple[tuple[int, int], ...] = ()  # (from, to) of every switch function
     thresholds: tuple[float, ...] = ()  # a switch function fires above its own
     world: dict[str, Any] = field(default_factory=dict)  # {"id": ..., **options} of the demonstrations
+
+    def __post_init__(self) -> None:
+        macros = [self.first_macro, *(macro for pair in self.switches for macro in pair)]
+        sound = {
+            "macros": isinstance(self.macros, int) and self.macros >= 1,
+            "first_macro and switches": all(isinstance(q, int) and 0 <= q < self.macros for q in macros),
+            "thresholds": len(self.thresholds) == len(self.switches)
+            and all(map(math.isfinite, self.thresholds)),
+            "image_shape": len(self.image_shape) == 2
+            and all(isinstance(size, int) for size in self.image_shape),
+            "features": self.features in FEATURES,
+            "world": isinstance(self.world, dict),
+        }
+        for name, holds in sound.items():
+            if not holds:
+                raise ValueError(f"{name} of the policy cannot be: {self}")
 
 
 @dataclass
@@ -151,9 +168,12 @@ class MacroPolicy:
                 )
         config = _read_config(folder / CONFIG_NAME)
         try:
-            tensors = load_file(folder / WEIGHTS_NAME, device=str(device))
-            return _assemble(config, tensors)
-        except (SafetensorError, KeyError, TypeError, OSError) as error:
+            policy = _assemble(config, load_file(folder / WEIGHTS_NAME, device=str(device)))
+            # A frame tells whether the tensors fit one another, before a world is built.
+            black = torch.zeros(1, *config.image_shape, 3, dtype=torch.uint8, device=policy.device)
+            policy.act(black, policy.initial_state(1))
+            return policy
+        except (SafetensorError, LookupError, TypeError, RuntimeError, OSError) as error:
             raise ValueError(
                 f"{folder / WEIGHTS_NAME} cannot be read ({error}): train or copy it again"
             ) from error
@@ -215,7 +235,7 @@ def _read_config(path: Path) -> PolicyConfig:
                 "thresholds": tuple(values["thresholds"]),
             }
         )
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{path} is no policy of dpmacro ({error}): give a folder that train.py wrote"
         ) from error

@@ -18,7 +18,7 @@ from dpmacro.boosting import Boosting, Round, class_targets
 from dpmacro.learners.stumps import SortedLevels, StumpLearner
 from dpmacro.switching import causal_labels, fit_switches, folds_of, starting_macro
 
-__all__ = ["Verdict", "distinct", "judge"]
+__all__ = ["Verdict", "best_verdict", "distinct", "judge"]
 
 FINALISTS = 8  # rivals whose changes are recognised best go on to the dearer test
 FOLDS = 4
@@ -27,6 +27,7 @@ COLUMNS = 128  # random columns searched a round
 SWITCH_ROUNDS = 30
 SWITCH_COLUMNS = 512
 SHRINKAGE = 0.2
+CLOSE = 1.1  # causal errors within this factor are a tie
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,13 @@ def _causal_charges(
     losses = boosting.losses().cpu()[frames, problem].mean(1)
     wrong = boosting.scores.cpu()[frames, problem].argmax(2) != actions
     return losses.tolist(), wrong.float().mean(1).tolist()
+
+
+def best_verdict(verdicts: dict[int, Verdict]) -> int:
+    """The rival of least causal error; of those within a tenth of it the one whose changes are seen best."""
+    limit = CLOSE * min(verdict.causal_error for verdict in verdicts.values())
+    close = [k for k, verdict in verdicts.items() if verdict.causal_error <= limit]
+    return max(close, key=lambda k: verdicts[k].detected)
 
 
 def distinct(rivals: Int64[Tensor, "rivals frames"], similar: float = 0.99) -> Int64[Tensor, " kept"]:

@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
 from dpmacro.features import FEATURES, Quantiser, make_features, previous_images
 from dpmacro.learners.stumps import StumpClassifier
@@ -147,6 +148,47 @@ def test_files_that_cannot_be_read_are_named(tmp_path, harm, message):
     policy.save(tmp_path)
     harm(tmp_path)
     with pytest.raises(ValueError, match=message):
+        MacroPolicy.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"first_macro": "x"}, "first_macro"),
+        ({"first_macro": 3}, "first_macro"),
+        ({"switches": [[0, 1], [1, 9]]}, "switches"),
+        ({"thresholds": [0.0]}, "thresholds"),
+        ({"thresholds": [0.0, float("nan")]}, "thresholds"),
+        ({"image_shape": [12]}, "image_shape"),
+        ({"features": "hog"}, "features"),
+        ({"world": None}, "world"),
+        ({"macros": 0}, "macros"),
+    ],
+)
+def test_a_config_that_cannot_be_is_named(tmp_path, changes, message):
+    random_policy()[0].save(tmp_path)
+    values = json.loads((tmp_path / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps({**values, **changes}))
+    with pytest.raises(ValueError, match=rf"(?s)config\.json is no policy of dpmacro \(.*{message}"):
+        MacroPolicy.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tensors: tensors.update({"actor.votes": tensors["actor.votes"][:3]}),
+        lambda tensors: tensors.update({"actor.columns": tensors["actor.columns"] + 10_000}),
+        lambda tensors: tensors.update({"quantiser.cuts": tensors["quantiser.cuts"][:5]}),
+        lambda tensors: tensors.update({"features.first": tensors["features.first"].float()}),
+        lambda tensors: tensors.pop("switcher.votes"),
+    ],
+)
+def test_tensors_that_do_not_fit_one_another_are_named(tmp_path, change):
+    random_policy()[0].save(tmp_path)
+    tensors = load_file(tmp_path / "model.safetensors")
+    change(tensors)
+    save_file(tensors, tmp_path / "model.safetensors")
+    with pytest.raises(ValueError, match=r"model\.safetensors cannot be read"):
         MacroPolicy.load(tmp_path)
 
 

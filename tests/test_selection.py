@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dpmacro.learners.stumps import SortedLevels
-from dpmacro.selection import distinct, judge
+from dpmacro.selection import Verdict, best_verdict, distinct, judge
 
 
 def visible_change(n=12, length=80):
@@ -35,6 +35,17 @@ def test_a_single_trajectory_cannot_be_judged():
     data, actions, _, truth = visible_change()
     with pytest.raises(ValueError, match="give two or more"):
         judge(data, actions, torch.tensor([960]), truth[None], 2, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "best"),
+    [
+        ({4: Verdict(0.1, 1.0, 0.10), 7: Verdict(0.9, 1.0, 0.12)}, 4),
+        ({4: Verdict(0.1, 1.0, 0.10), 7: Verdict(0.9, 1.0, 0.105)}, 7),
+    ],
+)
+def test_the_best_verdict_is_the_least_error_unless_it_is_close(verdicts, best):
+    assert best_verdict(verdicts) == best
 
 
 def test_distinct_keeps_the_first_of_a_group():
