@@ -3,8 +3,8 @@
     L(q, f) = sum_n sum_m exp(-y_n^m f_{q_n}^m(x_n))   subject to   #{n : q_n != q_{n+1}} <= S
 
 in every trajectory (Lefakis and Fleuret, Section III). The objective has many local optima, so the
-alternation starts from many seeded initial segmentations side by side, on a few dozen random stump
-candidates a round. Left-out trajectories choose among the distinct outcomes, and the chosen one is
+alternation starts from many seeded initial segmentations side by side, on a few dozen random
+columns a round. Left-out trajectories choose among the distinct outcomes, and the chosen one is
 refitted with the exact learner.
 """
 
@@ -76,7 +76,7 @@ class DPBoost:
         discovery_rounds: rounds from every initial segmentation.
         warmup: rounds that keep the labels they start from, at most half of a stage: relabelling by barely
             trained classifiers forgets a good start. After it the labels are re-estimated every round.
-        candidates: random columns searched a round while discovering.
+        drawn: random columns searched a round while discovering.
 
     Raises ValueError naming the argument that is out of range.
     """
@@ -94,15 +94,16 @@ class DPBoost:
         shrinkage: float = 0.1,
         discovery_rounds: int = 80,
         warmup: int = 30,
-        candidates: int = 48,
+        drawn: int = 48,
     ) -> None:
         counts = {
             "macros": macros,
             "rounds": rounds,
             "restarts": restarts,
             "discovery_rounds": discovery_rounds,
+            "drawn": drawn,
         }
-        for name, value in {**counts, "candidates": candidates}.items():
+        for name, value in counts.items():
             if value < 1:
                 raise ValueError(f"{name} is {value}: give 1 or more")
         self.macros = macros
@@ -117,7 +118,7 @@ class DPBoost:
         self.shrinkage = shrinkage
         self.discovery_rounds = discovery_rounds
         self.warmup = warmup
-        self.candidates = candidates
+        self.drawn = drawn
 
     def fit(
         self,
@@ -185,7 +186,7 @@ class DPBoost:
     def _discover(
         self, data: SortedLevels, task: _Task, generator: torch.Generator, on_round: Callable[[Round], None]
     ) -> Candidates:
-        """The alternation from every initial segmentation, on random stump candidates."""
+        """The alternation from every initial segmentation, on random columns."""
         n_peaks = (self.restarts + 1) // 2
         bound = min(self.max_transitions, int(task.lengths.max()) - 1)
         shape = (self.macros, bound, generator)
@@ -195,7 +196,7 @@ class DPBoost:
                 random_cuts(task.lengths, self.restarts - n_peaks, *shape),
             ]
         )
-        learner = StumpLearner(data, candidates=self.candidates)
+        learner = StumpLearner(data, drawn=self.drawn)
         boosting = self._boosting(learner, task, self.restarts, generator)
         return self._alternate(boosting, task, initial, "discover", self.discovery_rounds, on_round)
 

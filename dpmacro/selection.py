@@ -59,7 +59,7 @@ def judge(
             f"{len(lengths)} trajectory: judging a segmentation leaves trajectories out, give two or more"
         )
     detected, causal = [], []
-    learner = StumpLearner(data, candidates=SWITCH_COLUMNS)
+    learner = StumpLearner(data, drawn=SWITCH_COLUMNS)
     for number, labels in enumerate(rivals, 1):
         switches = fit_switches(
             learner, labels, lengths, torch.Generator().manual_seed(seed), rounds=SWITCH_ROUNDS
@@ -100,7 +100,7 @@ def _causal_charges(
     n_folds = int(fold_of.max()) + 1
     held = torch.nn.functional.one_hot(rivals, n_macros).float().transpose(0, 1)
     kept = (fold_of[:, None] != torch.arange(n_folds)).float()
-    learner = StumpLearner(data, candidates=COLUMNS)
+    learner = StumpLearner(data, drawn=COLUMNS)
     base = (held[:, :, None] * kept[:, None, :, None]).flatten(1).to(learner.device)
     targets = class_targets(actions, n_actions).to(learner.device)
     boosting = Boosting(learner, targets, base.shape[1], SHRINKAGE, generator)

@@ -159,11 +159,12 @@ class Trainer:
                 f"Demonstration 0: {self._macros} macro-actions",
                 demonstrations.action_names,
             ),
+            "objective": figures.curves(_loss_panels(discovery), "Exponential loss per frame"),
             "segmentation": figures.timelines(labels, demonstrations.lengths, truth, "All demonstrations"),
         }
         for name, figure in pictures.items():
             figures.save(figure, self.folder.figures / f"{name}.png")
-            writer.add_image(f"segmentation/{name}", figures.to_image(figure), dataformats="HWC")
+            writer.add_image(f"figures/{name}", figures.to_image(figure), dataformats="HWC")
         for restart, verdict in discovery.verdicts.items():
             for name, value in asdict(verdict).items():
                 writer.add_scalar(f"selection/{name}", value, restart)
@@ -219,6 +220,16 @@ class _Monitor:
         assert self._bar is not None
         self._bar.set_postfix_str(f"loss {loss:.4f}")
         self._bar.update()
+
+
+def _loss_panels(discovery: DPBoostResult) -> dict[str, dict[str, list[float]]]:
+    """The objective of the exact fit, and of six restarts that were judged."""
+    panels = {"exact fit": {"exact fit": discovery.loss.tolist()}}
+    if discovery.candidates is not None:
+        losses = discovery.candidates.loss.T.tolist()
+        judged = list(discovery.verdicts or range(len(losses)))[:6]
+        panels["discovery"] = {f"restart {k}": losses[k] for k in judged}
+    return panels
 
 
 def _plain(value: Any) -> Any:

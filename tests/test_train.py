@@ -50,7 +50,8 @@ def test_a_run_folder_holds_what_lerobot_users_look_for(trained, recorded):
     assert options["planner"]["rounds"] == 12
     state = load_file(checkpoint / "training_state/segmentation.safetensors")
     assert len(state["labels"]) == int(state["lengths"].sum()) == 30
-    assert {path.name for path in (trained / "figures").iterdir()} == {"timeline.png", "segmentation.png"}
+    pictures = {path.stem for path in (trained / "figures").iterdir()}
+    assert pictures == {"timeline", "segmentation", "objective"}
     assert not list(trained.rglob(".*")), "no temporary file stays"
 
 
@@ -69,7 +70,9 @@ def test_tensorboard_has_the_quantities_of_every_stage(trained):
         "agreement_with_phase",
     ):
         assert f"segmentation/fit/{name}" in scalars
-    assert set(events.Tags()["images"]) == {"segmentation/timeline", "segmentation/segmentation"}
+    assert set(events.Tags()["images"]) == {
+        f"figures/{name}" for name in ("timeline", "segmentation", "objective")
+    }
     assert len(events.Scalars("loss/fit")) == 12
 
 

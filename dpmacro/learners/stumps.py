@@ -101,11 +101,11 @@ class StumpLearner:
     wins; ties go to the first column, then to the lowest threshold. e is `smoothing` times the mean
     weight of a frame that has any, so votes stay finite and never overshoot the exact minimiser.
 
-    `candidates` columns drawn anew each round are searched instead of all where it is not 0.
+    `drawn` columns, drawn anew each round, are searched instead of all where it is not 0.
     """
 
     data: SortedLevels
-    candidates: int = 0
+    drawn: int = 0
     smoothing: float = 0.5
 
     @property
@@ -166,10 +166,10 @@ class StumpLearner:
 
     def _columns(self, generator: torch.Generator) -> Int64[Tensor, " searched"]:
         n_columns = self.data.n_columns
-        if not 0 < self.candidates < n_columns:
+        if not 0 < self.drawn < n_columns:
             return torch.arange(n_columns, device=self.device)
-        drawn = torch.randperm(n_columns, generator=generator)[: self.candidates]
-        return drawn.sort().values.to(self.device)
+        columns = torch.randperm(n_columns, generator=generator)[: self.drawn]
+        return columns.sort().values.to(self.device)
 
     def _histograms(self, table: Tensor, columns: Tensor) -> Float[Tensor, "columns levels entries"]:
         """Weights per column and level: sorted frames are the bags' indices, level starts their offsets."""

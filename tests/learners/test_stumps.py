@@ -76,9 +76,9 @@ def test_many_columns_are_searched_in_chunks():
     assert int(stumps.columns[0]) == 570
 
 
-def test_candidates_restrict_the_search():
+def test_drawn_columns_restrict_the_search():
     levels = torch.randint(0, 256, (400, 50), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
-    learner = StumpLearner(SortedLevels.build(levels), candidates=10)
+    learner = StumpLearner(SortedLevels.build(levels), drawn=10)
     generator, targets = torch.Generator().manual_seed(0), levels[0, :, None, None] > 100
     columns = {int(learner.fit(torch.ones(50, 1, 1), targets, generator).columns[0]) for _ in range(20)}
     assert len(columns) > 5
