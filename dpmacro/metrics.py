@@ -83,7 +83,8 @@ def wilson_interval(successes: int, runs: int, confidence: float = 0.95) -> tupl
     centre = rate + z**2 / (2 * runs)
     margin = z * sqrt(rate * (1 - rate) / runs + z**2 / (4 * runs**2))
     scale = 1 + z**2 / runs
-    return max(0.0, (centre - margin) / scale), min(1.0, (centre + margin) / scale)
+    # At 0 and at 100% rounding could leave the rate itself a hair outside.
+    return max(0.0, min(rate, (centre - margin) / scale)), min(1.0, max(rate, (centre + margin) / scale))
 
 
 def match_labels(labels: Int[np.ndarray, " frames"], truth: Int[np.ndarray, " _frames"]) -> Matching:

@@ -54,8 +54,9 @@ def test_keeps_the_bound_and_never_lets_the_objective_rise(fitted):
 def test_reports_every_round(fitted):
     *_, result, reports = fitted
     stages = [report.stage for report in reports]
-    judged = ["judge"] * stages.count("judge") + ["recognise"] * len(result.verdicts)
+    judged = ["recognise"] * stages.count("recognise") + ["judge"] * 60
     assert stages == ["discover"] * 80 + judged + ["fit"] * 60
+    assert stages.count("recognise") >= len(result.verdicts) > 0
     assert [report.number for report in reports[-60:]] == list(range(1, 61))
     assert [report.loss for report in reports[-60:]] == pytest.approx(result.loss.tolist())
     assert reports[-1].accuracy > 0.95

@@ -120,3 +120,10 @@ def test_success_summary_splits_failures():
 def test_success_summary_needs_complete_runs(arguments):
     with pytest.raises(ValueError, match=r"0 of 0|every run needs one of each"):
         success_summary(*arguments)
+
+
+def test_the_interval_holds_the_rate_itself():
+    for runs in range(1, 60):
+        for successes in range(runs + 1):
+            low, high = wilson_interval(successes, runs)
+            assert 0 <= low <= successes / runs <= high <= 1
