@@ -14,8 +14,9 @@ from torch import Tensor
 
 from dpmacro.learners import StrongClassifier, WeakLearner
 
-__all__ = ["MARGIN_LIMIT", "Boosting", "Round", "class_targets"]
+__all__ = ["MARGIN_LIMIT", "Boosting", "Round", "class_targets", "exponentials_of"]
 
+CHANCE = 1e-6  # relative; a round that lowers the loss by less is no better than chance
 MARGIN_LIMIT = 18.0  # exp(18) = 6.6e7: prefix sums of such costs keep 1e-5 in float64
 
 
@@ -32,6 +33,7 @@ class Round:
         Int64[Tensor, " frames"] | None
     )  # macro-labels, likewise; None where there is not one segmentation
     label_changes: float = 0.0  # share of frames whose macro-label this round changed
+    ended: tuple[int, ...] = ()  # problems for which this round found nothing better than chance
 
 
 class Boosting:
@@ -44,8 +46,8 @@ class Boosting:
         shrinkage: factor in (0, 1] on every weak hypothesis.
         generator: the randomness of the learner.
 
-    With base weights held still the loss never rises: a weak hypothesis lowers it, and by convexity so does
-    any shrunken step towards it.
+    With base weights held still the loss never rises: a weak hypothesis that does not lower it is no better
+    than chance, is left out, and ends its problem.
     """
 
     def __init__(
@@ -64,26 +66,53 @@ class Boosting:
         self.generator = generator
         shape = (learner.n_frames, n_problems, targets.shape[2])
         self.scores: Float[Tensor, "frames problems classes"] = torch.zeros(shape, device=learner.device)
-        self.rounds: list = []
+        self.ended: Bool[Tensor, " problems"] = torch.zeros(
+            n_problems, dtype=torch.bool, device=learner.device
+        )
+        self._exponentials = torch.ones(shape, device=learner.device)
+        self._rounds: list = []
+        self._steps: list[Tensor] = []
+        self._memory: object = None
 
-    def round(self, base: Float[Tensor, "frames problems"]) -> None:
-        """Add one weak hypothesis to every problem, fitted to its base weights times the losses so far."""
-        weights = base[:, :, None] * self._exponentials()
-        hypotheses = self.learner.fit(weights, self.targets, self.generator)
-        self.scores += self.shrinkage * self.learner.outputs(hypotheses)
-        self.rounds.append(hypotheses)
+    def round(self, base: Float[Tensor, "frames problems"]) -> Int64[Tensor, " ended"]:
+        """Add one weak hypothesis to every problem, fitted to its base weights times the losses so far.
+
+        Returns the problems that end in this round. Raises ValueError where weights are not finite.
+        """
+        weights = base[:, :, None] * self._exponentials
+        before = weights.sum((0, 2), dtype=torch.float64)
+        hypotheses, self._memory = self.learner.fit(weights, self.targets, self.generator, self._memory)
+        steps = self.shrinkage * (~self.ended).to(weights.dtype)
+        scores = self.scores + steps[:, None] * self.learner.outputs(hypotheses)
+        exponentials = exponentials_of(scores, self.targets)
+        after = (base[:, :, None] * exponentials).sum((0, 2), dtype=torch.float64)
+        chance = (before > 0) & ~(after <= before * (1 - CHANCE)) & ~self.ended
+        if bool(chance.any()):
+            steps[chance] = 0
+            scores[:, chance], exponentials[:, chance] = self.scores[:, chance], self._exponentials[:, chance]
+            self.ended = self.ended | chance
+        self.scores, self._exponentials = scores, exponentials
+        self._rounds.append(hypotheses)
+        self._steps.append(steps)
+        return chance.nonzero()[:, 0]
 
     def losses(self) -> Float[Tensor, "frames problems"]:
         """sum_m exp(-y^m f^m(x)) of every frame and problem: the cost of holding the frame."""
-        return self._exponentials().sum(2)
+        return self._exponentials.sum(2)
 
-    def strong(self) -> StrongClassifier:
-        """The strong classifiers of the rounds so far."""
-        return self.learner.strong(self.rounds).scaled(self.shrinkage)
+    def strong(self, rounds: Int64[Tensor, " problems"] | None = None) -> StrongClassifier:
+        """The strong classifiers of all rounds so far, or of the first `rounds` of every problem."""
+        steps = torch.stack(self._steps)
+        if rounds is not None:
+            steps = steps * (torch.arange(len(steps), device=steps.device)[:, None] < rounds)
+        return self.learner.strong(self._rounds, steps)
 
-    def _exponentials(self) -> Tensor:
-        margins = torch.where(self.targets, self.scores, -self.scores)
-        return margins.clamp_(min=-MARGIN_LIMIT).neg_().exp_()
+def exponentials_of(
+    scores: Float[Tensor, "frames problems classes"], targets: Bool[Tensor, "frames #problems classes"]
+) -> Float[Tensor, "frames problems classes"]:
+    """exp(-y^m f^m(x)), margins no lower than -`MARGIN_LIMIT`."""
+    margins = torch.where(targets, scores, -scores)
+    return margins.clamp_(min=-MARGIN_LIMIT).neg_().exp_()
 
 
 def class_targets(labels: Int64[Tensor, " frames"], n_classes: int) -> Bool[Tensor, "frames 1 classes"]:

@@ -19,10 +19,12 @@ from torch import Tensor
 from dpmacro.boosting import Boosting, Round, class_targets
 from dpmacro.features import Quantiser
 from dpmacro.initial import feature_peaks, random_cuts
-from dpmacro.learners import StrongClassifier, WeakLearner
-from dpmacro.learners.stumps import SortedLevels, StumpLearner
+from dpmacro.learners import Frames, StrongClassifier, WeakLearner
+from dpmacro.learners.sorting import SortedLevels
+from dpmacro.learners.stumps import StumpLearner
 from dpmacro.segmentation import segment
 from dpmacro.selection import Verdict, best_verdict, distinct, judge
+from dpmacro.stopping import validated_rounds
 
 __all__ = ["Candidates", "DPBoost", "DPBoostResult"]
 
@@ -51,7 +53,7 @@ class DPBoostResult:
     def scores(self, features: Num[Tensor, "frames columns"]) -> Float[Tensor, "frames macros actions"]:
         """f_q^m(x) of raw features; only for a result that was fitted on raw features."""
         assert self.quantiser is not None, "fitted on levels: use classifiers.scores"
-        return self.classifiers.scores(self.quantiser.levels(features.T.contiguous()))
+        return self.classifiers.scores(Frames(self.quantiser.levels(features.T.contiguous())))
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class DPBoost:
         warmup: rounds that keep the labels they start from, at most half of a stage: relabelling by barely
             trained classifiers forgets a good start. After it the labels are re-estimated every round.
         drawn: random columns searched a round while discovering.
+        early_stopping: whether left-out trajectories say how many of `rounds` the exact fit has.
 
     Raises ValueError naming the argument that is out of range.
     """
@@ -95,6 +98,7 @@ class DPBoost:
         discovery_rounds: int = 80,
         warmup: int = 30,
         drawn: int = 48,
+        early_stopping: bool = False,
     ) -> None:
         counts = {
             "macros": macros,
@@ -119,6 +123,7 @@ class DPBoost:
         self.discovery_rounds = discovery_rounds
         self.warmup = warmup
         self.drawn = drawn
+        self.early_stopping = early_stopping
 
     def fit(
         self,
@@ -150,8 +155,12 @@ class DPBoost:
         if self.macros > 1 and self.max_transitions > 0:
             candidates = self._discover(data, task, generator, on_round)
             labels, verdicts = self._choose(data, task, candidates, on_round)
-        boosting = self._boosting(self.learner(data), task, 1, generator)
-        fitted = self._alternate(boosting, task, labels, "fit", self.rounds, on_round)
+        learner, rounds = self.learner(data), self.rounds
+        if self.early_stopping:
+            held = labels[0], task.actions, lengths
+            rounds = validated_rounds(learner, *held, rounds, self.shrinkage, generator, on_round)
+        boosting = self._boosting(learner, task, 1, generator)
+        fitted = self._alternate(boosting, task, labels, "fit", rounds, on_round)
         return DPBoostResult(
             fitted.labels[0], fitted.loss[:, 0], boosting.strong(), quantiser, candidates, verdicts
         )
@@ -221,7 +230,7 @@ class DPBoost:
         loss: list[Tensor] = []
         for number in range(1, rounds + 1):
             held = torch.nn.functional.one_hot(labels, self.macros).float()
-            boosting.round(held.transpose(0, 1).flatten(1))
+            ended = boosting.round(held.transpose(0, 1).flatten(1))
             costs = boosting.losses().unflatten(1, (restarts, self.macros)).transpose(0, 1)
             changed = torch.zeros(restarts)
             if number > warmup and self.macros > 1:
@@ -234,11 +243,11 @@ class DPBoost:
             held_by = best * self.macros + labels[best]
             chosen = boosting.scores[torch.arange(n_frames, device=self.device), held_by].argmax(1)
             accuracy = float((chosen == task.actions).float().mean())
-            on_round(
-                Round(
-                    stage, number, rounds, float(loss[-1][best]), accuracy, labels[best], float(changed[best])
-                )
-            )
+            over = tuple(int(k) % self.macros for k in ended if int(k) // self.macros == best)
+            now = float(loss[-1][best]), accuracy, labels[best], float(changed[best])
+            on_round(Round(stage, number, rounds, *now, ended=over))
+            if bool(boosting.ended.all()):
+                break
         return Candidates(labels.cpu(), torch.stack(loss).cpu())
 
     def _choose(

@@ -15,8 +15,10 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from dpmacro.boosting import Boosting, Round, class_targets
-from dpmacro.learners.stumps import SortedLevels, StumpLearner
-from dpmacro.switching import causal_labels, fit_switches, folds_of, starting_macro
+from dpmacro.learners.sorting import SortedLevels
+from dpmacro.learners.stumps import StumpLearner
+from dpmacro.stopping import folds_of
+from dpmacro.switching import causal_labels, fit_switches, starting_macro
 
 __all__ = ["Verdict", "best_verdict", "distinct", "judge"]
 

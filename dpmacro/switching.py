@@ -13,15 +13,15 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from dpmacro.boosting import Boosting, Round
+from dpmacro.boosting import Boosting, Round, exponentials_of
 from dpmacro.learners import StrongClassifier, WeakLearner
+from dpmacro.stopping import BestRound, folds_of
 
 __all__ = [
     "Event",
     "SwitchFunctions",
     "causal_labels",
     "fit_switches",
-    "folds_of",
     "macro_segments",
     "starting_macro",
 ]
@@ -85,6 +85,7 @@ def fit_switches(
     rounds: int = 60,
     shrinkage: float = 0.2,
     folds: int = 5,
+    early_stopping: bool = False,
     on_round: Callable[[Round], None] = lambda _: None,
 ) -> SwitchFunctions:
     """Fit a switch function for every change of macro-label that the trajectories show.
@@ -100,6 +101,7 @@ def fit_switches(
         folds: parts that trajectories are dealt into by `generator`; each part is scored by a switch function
             that never saw it. The threshold is the middle of the widest range in which most left-out
             segments fire at the first frame of their change and not before.
+        early_stopping: whether every switch function keeps the rounds with the least loss on left-out parts.
         on_round: called after every round with the balanced loss and accuracy over all of them.
 
     All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
@@ -128,19 +130,32 @@ def fit_switches(
         learner, torch.stack(targets, 1)[:, :, None].to(learner.device), n_problems, shrinkage, generator
     )
     base = torch.stack(weights, 1).to(learner.device)
+    own_fit = fold_of.clamp(max=n_fits - 1).repeat_interleave(lengths).to(learner.device)
+    last = torch.arange(n_fits - 1, n_problems, n_fits, device=learner.device)
+    stopping, kept = BestRound(rounds), None
+    held_out = torch.zeros(learner.n_frames, len(pairs), device=learner.device)
     for number in range(1, rounds + 1):
-        boosting.round(base)
+        ended = boosting.round(base)
         right = ((boosting.scores > 0) == boosting.targets)[:, :, 0]
         accuracy = float((base * right).sum() / n_problems)
         loss = float((base * boosting.losses()).sum() / n_problems)
-        on_round(Round("switch", number, rounds, loss, accuracy, None))
-    scores = boosting.scores[:, :, 0].cpu().unflatten(1, (len(pairs), n_fits))
-    own_fit = fold_of.clamp(max=n_fits - 1).repeat_interleave(lengths)
-    held_out = scores.gather(2, own_fit[:, None, None].expand(-1, len(pairs), 1)).squeeze(2)
+        over = tuple(int(k) // n_fits for k in ended if int(k) % n_fits == n_fits - 1)
+        on_round(Round("switch", number, rounds, loss, accuracy, None, ended=over))
+        scores = boosting.scores[:, :, 0].unflatten(1, (len(pairs), n_fits))
+        scores = scores.gather(2, own_fit[:, None, None].expand(-1, len(pairs), 1)).squeeze(2)
+        costs = exponentials_of(scores[:, :, None], boosting.targets[:, last])[:, :, 0]
+        exhausted = stopping.exhausted((base[:, last] * costs).sum(0))
+        if early_stopping:
+            kept = stopping.best.repeat_interleave(n_fits)
+            held_out = torch.where(stopping.best == number, scores, held_out)
+        else:
+            held_out = scores
+        if bool(boosting.ended.all()) or (early_stopping and exhausted):
+            break
+    held_out = held_out.cpu()
     calibrated = [_calibrate(_peaks(pair, events, held_out[:, p])) for p, pair in enumerate(pairs)]
     thresholds, detected = torch.tensor(calibrated).unbind(1)
-    last = torch.arange(n_fits - 1, n_problems, n_fits, device=learner.device)
-    return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong().select(last))
+    return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong(kept).select(last))
 
 
 def causal_labels(
@@ -165,14 +180,6 @@ def causal_labels(
             labels[frame:stop] = macro
             frame += 1
     return labels
-
-
-def folds_of(n_trajectories: int, folds: int, generator: torch.Generator) -> Int64[Tensor, " trajectories"]:
-    """A fold for every trajectory, at random, as even as can be."""
-    order = torch.randperm(n_trajectories, generator=generator)
-    fold_of = torch.empty(n_trajectories, dtype=torch.int64)
-    fold_of[order] = torch.arange(n_trajectories) % max(1, min(folds, n_trajectories))
-    return fold_of
 
 
 def _examples(

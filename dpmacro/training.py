@@ -21,7 +21,8 @@ from dpmacro.boosting import Round
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
 from dpmacro.features import FeatureSet, Quantiser, make_features, previous_images
-from dpmacro.learners.stumps import SortedLevels, StumpLearner
+from dpmacro.learners.sorting import SortedLevels
+from dpmacro.learners.stumps import StumpLearner
 from dpmacro.metrics import frame_accuracy
 from dpmacro.options import TrainOptions
 from dpmacro.policy import MacroPolicy, PolicyConfig

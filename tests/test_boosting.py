@@ -5,8 +5,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.boosting import MARGIN_LIMIT, Boosting, class_targets
-from dpmacro.learners.stumps import SortedLevels, StumpLearner
+from dpmacro.boosting import MARGIN_LIMIT, Boosting, class_targets, exponentials_of
+from dpmacro.learners import Frames
+from dpmacro.learners.sorting import SortedLevels
+from dpmacro.learners.stumps import StumpLearner
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 
@@ -48,18 +50,61 @@ def test_the_strong_classifier_has_the_scores_of_the_training():
     boosting = Boosting(learner, class_targets(labels, 3), 4, 0.3, torch.Generator())
     for _ in range(7):
         boosting.round(base)
-    torch.testing.assert_close(boosting.strong().scores(learner.data.levels), boosting.scores)
+    torch.testing.assert_close(boosting.strong().scores(Frames(learner.data.levels)), boosting.scores)
 
 
-def test_losses_are_sums_of_exponentials_up_to_the_margin_limit():
-    learner, labels, _ = problem(2)
-    boosting = Boosting(learner, class_targets(labels, 3), 1, 1.0, torch.Generator())
-    boosting.scores = 3 * torch.randn(80, 1, 3, generator=torch.Generator().manual_seed(0))
-    signs = 2.0 * class_targets(labels, 3) - 1
-    torch.testing.assert_close(boosting.losses(), torch.exp(-signs * boosting.scores).sum(2))
-    boosting.scores = torch.full((80, 1, 3), 1000.0)
-    expected = 2 * torch.tensor(MARGIN_LIMIT).exp()
-    torch.testing.assert_close(boosting.losses(), expected.expand(80, 1), rtol=1e-5, atol=0)
+def test_a_strong_classifier_may_end_after_fewer_rounds_problem_by_problem():
+    learner, labels, base = problem(1)
+    frames = Frames(learner.data.levels)
+    boosting = Boosting(learner, class_targets(labels, 3), 4, 0.3, torch.Generator())
+    after = []
+    for _ in range(6):
+        boosting.round(base)
+        after.append(boosting.scores.clone())
+    kept = torch.tensor([2, 6, 1, 4])
+    expected = torch.stack([after[rounds - 1][:, p] for p, rounds in enumerate(kept.tolist())], 1)
+    torch.testing.assert_close(boosting.strong(kept).scores(frames), expected)
+
+
+def test_losses_are_exponentials_up_to_the_margin_limit():
+    scores = 3 * torch.randn(80, 2, 3, generator=torch.Generator().manual_seed(0))
+    targets = class_targets(torch.arange(80) % 3, 3)
+    torch.testing.assert_close(exponentials_of(scores, targets), torch.exp(-(2.0 * targets - 1) * scores))
+    far = exponentials_of(torch.full((80, 1, 3), 1000.0), targets).sum(2)
+    torch.testing.assert_close(far, (2 * torch.tensor(MARGIN_LIMIT).exp()).expand(80, 1))
+
+
+def test_a_problem_in_which_nothing_beats_chance_ends_and_the_others_go_on():
+    levels = torch.tensor([[0, 0, 9, 9]], dtype=torch.uint8)
+    targets = torch.tensor([[True, False], [False, False], [True, True], [False, True]])[:, :, None]
+    boosting = Boosting(StumpLearner(SortedLevels.build(levels)), targets, 2, 0.5, torch.Generator())
+    base = torch.ones(4, 2)
+    assert boosting.round(base).tolist() == [0]
+    assert boosting.round(base).tolist() == []
+    assert boosting.ended.tolist() == [True, False]
+    assert (boosting.scores[:, 0] == 0).all()
+    scores = boosting.strong().scores(Frames(levels))
+    torch.testing.assert_close(scores, boosting.scores)
+    assert float(scores[3, 1]) > 0 > float(scores[0, 1])
+
+
+def test_a_problem_without_frames_waits_for_some():
+    learner, labels, base = problem(4)
+    boosting = Boosting(learner, class_targets(labels, 3), 4, 0.3, torch.Generator())
+    empty = base.clone()
+    empty[:, 1] = 0
+    assert not len(boosting.round(empty)) and not boosting.ended.any()
+    boosting.round(base)
+    assert (boosting.scores[:, 1] != 0).any()
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e38])
+def test_weights_that_overflow_are_refused(value):
+    learner, labels, base = problem(5)
+    base[7, 2] = value
+    base[8, 2] = value
+    with pytest.raises(ValueError, match="weights of problem 2"):
+        Boosting(learner, class_targets(labels, 3), 4, 0.3, torch.Generator()).round(base)
 
 
 @pytest.mark.parametrize("shrinkage", [0.0, -0.1, 1.5])

@@ -6,7 +6,7 @@ import torch
 
 from dpmacro.discovery import DPBoost
 from dpmacro.features import Quantiser
-from dpmacro.learners.stumps import SortedLevels
+from dpmacro.learners.sorting import SortedLevels
 from dpmacro.metrics import frame_accuracy
 from dpmacro.segmentation import transition_counts
 

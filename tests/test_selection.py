@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from dpmacro.learners.stumps import SortedLevels
+from dpmacro.learners.sorting import SortedLevels
 from dpmacro.selection import Verdict, best_verdict, distinct, judge
 
 

@@ -3,8 +3,11 @@
 import pytest
 import torch
 
-from dpmacro.learners.stumps import SortedLevels, StumpLearner
-from dpmacro.switching import causal_labels, fit_switches, folds_of, macro_segments, starting_macro
+from dpmacro.learners import Frames
+from dpmacro.learners.sorting import SortedLevels
+from dpmacro.learners.stumps import StumpLearner
+from dpmacro.stopping import folds_of
+from dpmacro.switching import causal_labels, fit_switches, macro_segments, starting_macro
 
 
 def trajectories(n=12, visible=True, seed=0):
@@ -42,7 +45,7 @@ def test_an_invisible_change_is_not():
 def test_held_out_scores_never_saw_their_trajectory():
     learner, labels, lengths = trajectories(visible=False)
     switches = fit_switches(learner, labels, lengths, torch.Generator().manual_seed(0), rounds=40)
-    fitted = switches.classifier.scores(learner.data.levels)[:, 0, 0]
+    fitted = switches.classifier.scores(Frames(learner.data.levels))[:, 0, 0]
     change = labels.diff(prepend=labels[:1]) > 0
     assert float(fitted[change].min()) > float(switches.held_out[change, 0].mean())
 

@@ -4,28 +4,41 @@ A round fits many independent problems at once (a problem is a macro-class, a re
 switch function, a cross-validation fold). All problems share the frames; their weights differ.
 """
 
+from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int64, UInt8
 from torch import Tensor
 
+__all__ = ["HEAVIEST", "Frames", "StrongClassifier", "WeakLearner", "overflow"]
+
+HEAVIEST = 1e18  # sums of weights are multiplied by one another, in float32
+
 Hypotheses = TypeVar("Hypotheses")
+Memory = TypeVar("Memory")
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What weak hypotheses look at: stumps at quantised feature columns, convnets at pairs of images."""
+
+    levels: UInt8[Tensor, "columns frames"]
+    images: UInt8[Tensor, "frames height width 3"] | None = None
+    previous: UInt8[Tensor, "frames height width 3"] | None = None  # the image before each
 
 
 @runtime_checkable
 class StrongClassifier(Protocol):
     """A sum of weak hypotheses for every problem, as fitted."""
 
+    kind: str  # names its tensors in a file
+
     def select(self, problems: Int64[Tensor, " selected"]) -> "StrongClassifier":
         """The strong classifiers of just these problems, in this order."""
         ...
 
-    def scaled(self, factor: float) -> "StrongClassifier":
-        """Every hypothesis multiplied by `factor`: the shrinkage."""
-        ...
-
-    def scores(self, levels: UInt8[Tensor, "columns frames"]) -> Float[Tensor, "frames problems classes"]:
+    def scores(self, frames: Frames) -> Float[Tensor, "frames problems classes"]:
         """f^m(x) of every frame, problem and class."""
         ...
 
@@ -43,7 +56,7 @@ class StrongClassifier(Protocol):
 
 
 @runtime_checkable
-class WeakLearner(Protocol[Hypotheses]):
+class WeakLearner(Protocol[Hypotheses, Memory]):
     """Fits one weak hypothesis per problem to weighted frames, and applies it to them."""
 
     @property
@@ -61,14 +74,26 @@ class WeakLearner(Protocol[Hypotheses]):
         weights: Float[Tensor, "frames problems classes"],
         targets: Bool[Tensor, "frames #problems classes"],
         generator: torch.Generator,
-    ) -> Hypotheses:
-        """One weak hypothesis for every problem, minimising the exponential loss of the weighted frames."""
+        memory: Memory | None = None,
+    ) -> tuple[Hypotheses, Memory | None]:
+        """One weak hypothesis for every problem, lowering the exponential loss of the weighted frames.
+
+        The second part of the result is the next round's `memory`, None in the first round: a learner keeps
+        no state of its own. Raises ValueError where weights sum to `HEAVIEST` or to no number.
+        """
         ...
 
     def outputs(self, hypotheses: Hypotheses) -> Float[Tensor, "frames problems classes"]:
         """h^m(x) of the training frames."""
         ...
 
-    def strong(self, rounds: list[Hypotheses]) -> StrongClassifier:
-        """The sum of the rounds' hypotheses, to be applied to any frames."""
+    def strong(self, rounds: list[Hypotheses], steps: Float[Tensor, "rounds problems"]) -> StrongClassifier:
+        """sum_t step_t h_t for every problem, to be applied to any frames."""
         ...
+
+
+def overflow(weights: Float[Tensor, "frames problems classes"]) -> str:
+    """What to say of weights that sum to `HEAVIEST` or more, or to no number."""
+    sums = weights.sum((0, 2))
+    problem = int((~(sums < HEAVIEST)).nonzero()[0])
+    return f"weights of problem {problem} sum to {float(sums[problem])}: scale them to less than {HEAVIEST:g}"

@@ -1,49 +1,21 @@
 """Decision stumps with real confidences, searched exactly over every feature and level in one pass."""
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import torch
-from jaxtyping import Bool, Float, Int32, Int64, UInt8
+from jaxtyping import Bool, Float, Int64, UInt8
 from torch import Tensor
 
-__all__ = ["SortedLevels", "StumpClassifier", "StumpLearner", "Stumps"]
+from dpmacro.learners import HEAVIEST, Frames, overflow
+from dpmacro.learners.sorting import LEVELS, SortedColumns, SortedLevels
 
-LEVELS = 256  # a level is a byte
-CHUNK_COLUMNS = 256  # columns whose histograms are in memory at a time
+__all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps"]
 
-
-@dataclass(frozen=True)
-class SortedLevels:
-    """Quantised feature columns with, for every column, the frames sorted by level."""
-
-    levels: UInt8[Tensor, "columns frames"]
-    frames: Int32[Tensor, "columns frames"]  # frame numbers, by ascending level
-    starts: Int32[Tensor, "columns levels"]  # where each level starts in a column's sorted frames
-
-    @classmethod
-    def build(cls, levels: UInt8[Tensor, "columns frames"]) -> "SortedLevels":
-        """Sort every column once; all rounds of all problems share the result."""
-        frames = torch.empty(levels.shape, dtype=torch.int32, device=levels.device)
-        starts = torch.empty(len(levels), LEVELS, dtype=torch.int32, device=levels.device)
-        marks = torch.arange(LEVELS, device=levels.device, dtype=torch.uint8)
-        for first in range(0, len(levels), CHUNK_COLUMNS):
-            chunk = slice(first, first + CHUNK_COLUMNS)
-            ordered, order = levels[chunk].sort(dim=1, stable=True)
-            frames[chunk] = order.to(torch.int32)
-            starts[chunk] = torch.searchsorted(
-                ordered, marks.expand(len(ordered), -1).contiguous(), out_int32=True
-            )
-        return cls(levels, frames, starts)
-
-    @property
-    def n_columns(self) -> int:
-        """The number of feature columns."""
-        return self.levels.shape[0]
-
-    @property
-    def n_frames(self) -> int:
-        """The number of frames."""
-        return self.levels.shape[1]
+CACHED = 2**18  # histogram entries of a chunk of columns that stay in a core's cache
+ON_DEVICE = 2**24  # likewise where a large chunk keeps the device busy
+SHORTLIST = 64  # columns that every problem passes on to the rounds that re-use them
 
 
 @dataclass(frozen=True)
@@ -56,12 +28,21 @@ class Stumps:
 
 
 @dataclass(frozen=True)
+class Search:
+    """Columns that the next rounds search, too."""
+
+    data: SortedLevels
+    rounds: int  # how many more
+
+
+@dataclass(frozen=True)
 class StumpClassifier:
     """Strong classifiers made of stumps: f^m(x) = sum_t h_t^m(x)."""
 
     columns: Int64[Tensor, "rounds problems"]
     thresholds: UInt8[Tensor, "rounds problems"]
     votes: Float[Tensor, "rounds problems 2 classes"]
+    kind = "stumps"
 
     def select(self, problems: Int64[Tensor, " selected"]) -> "StumpClassifier":
         """The strong classifiers of just these problems, in this order."""
@@ -69,15 +50,11 @@ class StumpClassifier:
             self.columns[:, problems], self.thresholds[:, problems], self.votes[:, problems]
         )
 
-    def scores(self, levels: UInt8[Tensor, "columns frames"]) -> Float[Tensor, "frames problems classes"]:
+    def scores(self, frames: Frames) -> Float[Tensor, "frames problems classes"]:
         """f^m(x) of every frame, problem and class."""
-        above = (levels[self.columns] > self.thresholds[..., None]).to(self.votes.dtype)
+        above = (frames.levels[self.columns] > self.thresholds[..., None]).to(self.votes.dtype)
         steps = self.votes[:, :, 1] - self.votes[:, :, 0]
         return self.votes[:, :, 0].sum(0) + torch.einsum("tpn,tpm->npm", above, steps)
-
-    def scaled(self, factor: float) -> "StumpClassifier":
-        """Every vote multiplied by `factor`."""
-        return StumpClassifier(self.columns, self.thresholds, factor * self.votes)
 
     def used_columns(self) -> Int64[Tensor, " used"]:
         """The columns that any stump looks at, ascending."""
@@ -101,12 +78,24 @@ class StumpLearner:
     wins; ties go to the first column, then to the lowest threshold. e is `smoothing` times the mean
     weight of a frame that has any, so votes stay finite and never overshoot the exact minimiser.
 
-    `drawn` columns, drawn anew each round, are searched instead of all where it is not 0.
+    Two options trade exactness for time:
+        drawn: columns, drawn at random, that are searched instead of all, where it is not 0.
+        reuse: rounds that a search serves, 1 for just its own. Drawn columns stay for so many rounds; where
+            all columns are searched, the best of every problem are searched alone in the rounds that follow.
+
+    Where the data holds no sorted columns, those drawn are sorted when they are drawn.
     """
 
     data: SortedLevels
     drawn: int = 0
+    reuse: int = 1
     smoothing: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.reuse < 1 or self.drawn < 0:
+            raise ValueError(f"reuse is {self.reuse} and drawn {self.drawn}: give 1 or more, 0 or more")
+        if self.drawn == 0 and len(self.data.columns) < self.data.n_columns:
+            raise ValueError("drawn is 0 but no column is sorted: draw columns, or sort them all")
 
     @property
     def n_frames(self) -> int:
@@ -123,32 +112,36 @@ class StumpLearner:
         weights: Float[Tensor, "frames problems classes"],
         targets: Bool[Tensor, "frames #problems classes"],
         generator: torch.Generator,
-    ) -> Stumps:
-        """The best stump of every problem."""
-        columns = self._columns(generator)
-        table = torch.stack([weights * targets, weights * ~targets], 1).flatten(1)
-        shape = (2, *weights.shape[1:])
-        best: Tensor | None = None
-        for chunk in columns.split(CHUNK_COLUMNS):
-            below = self._histograms(table, chunk).cumsum_(1)
-            loss = _loss(below.unflatten(2, shape)).flatten(0, 1)  # [columns * levels, problems]
-            place = loss.argmin(0)
-            found = loss.gather(0, place[None])[0]
-            column, threshold = chunk[place // LEVELS], place % LEVELS
-            sums = below.flatten(0, 1)[place].unflatten(1, shape)
-            here = torch.arange(len(place), device=self.device)
-            sides = torch.stack([sums[here, :, here], below[0, -1].unflatten(0, shape).transpose(0, 1)], 1)
-            if best is None:
-                best, best_column, best_threshold, best_sides = found, column, threshold, sides
-                continue
-            better = found < best
-            best = torch.where(better, found, best)
-            best_column = torch.where(better, column, best_column)
-            best_threshold = torch.where(better, threshold, best_threshold)
-            best_sides = torch.where(better[:, None, None, None], sides, best_sides)
+        memory: Search | None = None,
+    ) -> tuple[Stumps, Search | None]:
+        """The best stump of every problem, and what the next round searches."""
+        search = self._search(generator) if memory is None else memory
+        shape = (2, weights.shape[2], weights.shape[1])  # right and wrong, classes, problems
+        by_class = weights.transpose(1, 2), targets.transpose(1, 2)
+        table = torch.stack([by_class[0] * by_class[1], by_class[0] * ~by_class[1]], 1).flatten(1)
+        total = table.sum(0, dtype=torch.float64).to(table.dtype)
+        if not bool((total < HEAVIEST).all()):  # not where one is NaN, too
+            raise ValueError(overflow(weights))
+        shortlisting = self.reuse > 1 and self.drawn == 0 and memory is None
+        found, minima = [], []
+        for chunk in search.data.chunks(self._chunk(table.shape[1])):
+            below = _histograms(chunk, table, total).cumsum_(1).unflatten(2, shape)
+            loss = _loss(below)  # [columns, bins, problems]
+            found.append(_lowest(loss, below, chunk.thresholds))
+            if shortlisting:
+                minima.append(loss.amin(1))
+        values, places, thresholds, sides = (torch.stack(part) for part in zip(*found, strict=True))
+        chunk_of = values.argmin(0)
+        problems = torch.arange(len(chunk_of), device=self.device)
+        column = places[chunk_of, problems] + chunk_of * self._chunk(table.shape[1])
         held = (weights > 0).any(2).sum(0).clamp(min=1)
         slack = self.smoothing * weights.sum((0, 2)) / (held * weights.shape[2])
-        return Stumps(best_column, best_threshold.to(torch.uint8), _votes(best_sides, slack))
+        votes = _votes(sides[chunk_of, problems], slack)
+        stumps = Stumps(search.data.columns[column], thresholds[chunk_of, problems], votes)
+        if shortlisting:
+            best = torch.cat(minima).topk(min(SHORTLIST, self.data.n_columns), dim=0, largest=False).indices
+            return stumps, Search(self.data.take(best.unique()), self.reuse - 1)
+        return stumps, Search(search.data, search.rounds - 1) if search.rounds > 1 else None
 
     def outputs(self, hypotheses: Stumps) -> Float[Tensor, "frames problems classes"]:
         """h^m(x) of the training frames."""
@@ -156,43 +149,59 @@ class StumpLearner:
         low, high = hypotheses.votes.unbind(1)
         return torch.where(above.T[:, :, None], high, low)
 
-    def strong(self, rounds: list[Stumps]) -> StumpClassifier:
-        """The sum of the rounds' stumps."""
+    def strong(self, rounds: list[Stumps], steps: Float[Tensor, "rounds problems"]) -> StumpClassifier:
+        """sum_t step_t h_t of the rounds' stumps."""
         return StumpClassifier(
             torch.stack([stumps.columns for stumps in rounds]),
             torch.stack([stumps.thresholds for stumps in rounds]),
-            torch.stack([stumps.votes for stumps in rounds]),
+            torch.stack([stumps.votes for stumps in rounds]) * steps.to(self.device)[:, :, None, None],
         )
 
-    def _columns(self, generator: torch.Generator) -> Int64[Tensor, " searched"]:
+    def _search(self, generator: torch.Generator) -> Search:
         n_columns = self.data.n_columns
-        if not 0 < self.drawn < n_columns:
-            return torch.arange(n_columns, device=self.device)
-        columns = torch.randperm(n_columns, generator=generator)[: self.drawn]
-        return columns.sort().values.to(self.device)
+        if self.drawn == 0 or (self.drawn >= n_columns and len(self.data.columns)):
+            return Search(self.data, 1)
+        columns = torch.randperm(n_columns, generator=generator)[: self.drawn].sort().values
+        return Search(self.data.take(columns), self.reuse)
 
-    def _histograms(self, table: Tensor, columns: Tensor) -> Float[Tensor, "columns levels entries"]:
-        """Weights per column and level: sorted frames are the bags' indices, level starts their offsets."""
-        rows: Tensor | slice = columns
-        if len(columns) == int(columns[-1]) - int(columns[0]) + 1:
-            rows = slice(int(columns[0]), int(columns[-1]) + 1)  # a view where indexing would copy
-        shift = torch.arange(len(columns), device=self.device, dtype=torch.int32) * self.n_frames
-        sums = torch.nn.functional.embedding_bag(
-            self.data.frames[rows].flatten(),
-            table,
-            (self.data.starts[rows] + shift[:, None]).flatten(),
-            mode="sum",
-        )
-        return sums.unflatten(0, (len(columns), LEVELS))
+    def _chunk(self, entries: int) -> int:
+        """Columns whose histograms are in memory at a time."""
+        room = CACHED if self.device.type == "cpu" else ON_DEVICE
+        return min(max(room // (LEVELS * entries), 1), 128)
+
+
+def _histograms(
+    chunk: SortedColumns, table: Float[Tensor, "frames entries"], total: Float[Tensor, " entries"]
+) -> Float[Tensor, "columns bins entries"]:
+    """Weights in every bin: sorted frames are the bags' indices; the fullest bin gets what they leave."""
+    sums = torch.nn.functional.embedding_bag(chunk.order, table, chunk.starts.flatten(), mode="sum")
+    sums = sums.unflatten(0, chunk.starts.shape)
+    rest = (total - sums.sum(1)).clamp_(min=0)
+    sums[torch.arange(len(sums), device=sums.device), chunk.fullest] = rest
+    return sums
 
 
 def _loss(
-    below: Float[Tensor, "columns levels 2 problems classes"],
-) -> Float[Tensor, "columns levels problems"]:
+    below: Float[Tensor, "columns bins 2 classes problems"],
+) -> Float[Tensor, "columns bins problems"]:
     """Z / 2 of every threshold: sqrt(W+ W-) summed over the two sides and the classes."""
     above = below[:, -1:] - below
-    products = below[:, :, 0] * below[:, :, 1], above[:, :, 0] * above[:, :, 1]
-    return sum(product.clamp_(min=0).sqrt_().sum(3) for product in products)
+    low = (below[:, :, 0] * below[:, :, 1]).sqrt_()
+    high = (above[:, :, 0] * above[:, :, 1]).clamp_(min=0).sqrt_()
+    return reduce(add, low.add_(high).unbind(2))
+
+
+def _lowest(
+    loss: Float[Tensor, "columns bins problems"],
+    below: Float[Tensor, "columns bins 2 classes problems"],
+    thresholds: UInt8[Tensor, "columns bins"],
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Loss, column, threshold and weights [below, in all][right, wrong] of every problem's best stump."""
+    place = loss.flatten(0, 1).argmin(0)
+    bins, problems = loss.shape[1], torch.arange(len(place), device=place.device)
+    column, bin_ = place // bins, place % bins
+    pairs = below[column, bin_, :, :, problems], below[column, -1, :, :, problems]
+    return loss[column, bin_, problems], column, thresholds[column, bin_], torch.stack(pairs, 1)
 
 
 def _votes(
