@@ -7,9 +7,10 @@ import torch
 
 from dpmacro.features import FEATURES
 
-__all__ = ["PLANNERS", "DatasetOptions", "PlannerOptions", "TrainOptions"]
+__all__ = ["LEARNERS", "PLANNERS", "ConvNetOptions", "DatasetOptions", "PlannerOptions", "TrainOptions"]
 
 PLANNERS = ("dpboost", "baseline")
+LEARNERS = ("stumps", "convnet", "mixed")
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,21 @@ class DatasetOptions:
 
 
 @dataclass(frozen=True)
+class ConvNetOptions:
+    """Tiny convolutional networks as weak learners."""
+
+    rounds: int = 20
+    """Boosting rounds of the networks; with mixed learners they follow those of the stumps."""
+    epochs: int = 2
+    """Passes over the frames in every round."""
+
+    def __post_init__(self) -> None:
+        for name in ("rounds", "epochs"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"planner.convnet.{name} is {getattr(self, name)}: give 1 or more")
+
+
+@dataclass(frozen=True)
 class PlannerOptions:
     """What is trained, and how."""
 
@@ -34,8 +50,10 @@ class PlannerOptions:
     """Macro-actions Q; the baseline has 1."""
     max_transitions: int | None = None
     """Bound S on transitions in every demonstration; by default Q - 1."""
+    learner: str = "stumps"
+    """Weak learners of the strong classifiers: stumps, convnet, or mixed for stumps first, then networks."""
     rounds: int = 300
-    """Boosting rounds of the strong classifiers."""
+    """Boosting rounds of the strong classifiers; those of networks are convnet.rounds."""
     shrinkage: float = 0.1
     """Factor on every weak hypothesis, above 0 and up to 1."""
     restarts: int = 32
@@ -44,6 +62,18 @@ class PlannerOptions:
     """rectangles, or pixels for the paper's."""
     rectangles: int = 4096
     """How many rectangles are drawn."""
+    drawn: int = 0
+    """Random columns that a round of stumps searches instead of all, faster and not exact; 0 for all."""
+    reuse: int = 1
+    """Rounds that a search over all columns serves: those after it search its best ones alone, faster."""
+    memory_limit: float = 4.0
+    """GiB that training may take; where all columns do not fit, a round searches those that do."""
+    early_stopping: bool = False
+    """Whether left-out trajectories decide how many of the rounds are kept."""
+    convnet: ConvNetOptions = field(default_factory=ConvNetOptions)
+    """Networks, where a learner is convnet or mixed."""
+    switch_learner: str = "stumps"
+    """Weak learners of the switch functions, likewise."""
     switch_window: int = 3
     """J, the frames from a change on that are its positive examples."""
     switch_rounds: int = 60
@@ -54,9 +84,19 @@ class PlannerOptions:
     def __post_init__(self) -> None:
         if self.type not in PLANNERS:
             raise ValueError(f"planner.type is {self.type!r}: choose one of {', '.join(PLANNERS)}")
+        for name in ("learner", "switch_learner"):
+            if getattr(self, name) not in LEARNERS:
+                raise ValueError(
+                    f"planner.{name} is {getattr(self, name)!r}: choose one of {', '.join(LEARNERS)}"
+                )
+        if self.drawn < 0:
+            raise ValueError(f"planner.drawn is {self.drawn}: give 0 or more")
+        if not self.memory_limit > 0:
+            raise ValueError(f"planner.memory_limit is {self.memory_limit}: give a number of GiB above 0")
         if self.features not in FEATURES:
             raise ValueError(f"planner.features is {self.features!r}: choose one of {', '.join(FEATURES)}")
-        for name in ("macros", "rounds", "restarts", "rectangles", "switch_window", "switch_rounds"):
+        counts = ("macros", "rounds", "restarts", "rectangles", "reuse", "switch_window", "switch_rounds")
+        for name in counts:
             if getattr(self, name) < 1:
                 raise ValueError(f"planner.{name} is {getattr(self, name)}: give 1 or more")
         for name in ("shrinkage", "switch_shrinkage"):

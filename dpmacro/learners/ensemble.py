@@ -8,9 +8,12 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from dpmacro.learners import Frames, StrongClassifier, WeakLearner
+from dpmacro.learners.convnet import ConvNetClassifier
 from dpmacro.learners.stumps import StumpClassifier
 
 __all__ = ["Ensemble", "InTurn", "classifier_from", "classifier_tensors"]
+
+KINDS: dict[str, type] = {kind.kind: kind for kind in (StumpClassifier,)}
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,12 @@ class Ensemble:
         return Ensemble(tuple(part.renumbered(columns) for part in self.parts))
 
     def tensors(self) -> dict[str, Tensor]:
-        """What defines the parts, each under its kind."""
-        return {f"{part.kind}.{name}": value for part in self.parts for name, value in part.tensors().items()}
+        """What defines the parts, named <place>.<kind>.<name>."""
+        return {
+            f"{place}.{part.kind}.{name}": value
+            for place, part in enumerate(self.parts)
+            for name, value in part.tensors().items()
+        }
 
 
 @dataclass(frozen=True)
@@ -110,7 +117,7 @@ class InTurn:
 
 
 def classifier_tensors(classifier: StrongClassifier) -> dict[str, Tensor]:
-    """What defines a strong classifier, every tensor named <kind>.<name>; `classifier_from` reads it."""
+    """What defines a strong classifier, every tensor named <place>.<kind>.<name>."""
     parts = classifier.parts if isinstance(classifier, Ensemble) else (classifier,)
     return Ensemble(parts).tensors()
 
@@ -119,8 +126,7 @@ def classifier_from(tensors: dict[str, Tensor]) -> StrongClassifier:
     """The strong classifier that `classifier_tensors` described. Raises KeyError for an unknown kind."""
     groups: dict[str, dict[str, Tensor]] = {}
     for name, tensor in tensors.items():
-        kind, _, field_name = name.partition(".")
-        groups.setdefault(kind, {})[field_name] = tensor
-    kinds = {"stumps": StumpClassifier}
-    parts = tuple(kinds[kind](**group) for kind, group in groups.items())
+        part, _, field_name = name.rpartition(".")
+        groups.setdefault(part, {})[field_name] = tensor
+    parts = tuple(KINDS[part.partition(".")[2]](**group) for part, group in sorted(groups.items()))
     return parts[0] if len(parts) == 1 else Ensemble(parts)

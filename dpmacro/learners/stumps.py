@@ -1,5 +1,6 @@
 """Decision stumps with real confidences, searched exactly over every feature and level in one pass."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
@@ -11,7 +12,7 @@ from torch import Tensor
 from dpmacro.learners import HEAVIEST, Frames, overflow
 from dpmacro.learners.sorting import LEVELS, SortedColumns, SortedLevels
 
-__all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps"]
+__all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps", "column_losses"]
 
 CACHED = 2**18  # histogram entries of a chunk of columns that stay in a core's cache
 ON_DEVICE = 2**24  # likewise where a large chunk keeps the device busy
@@ -116,24 +117,16 @@ class StumpLearner:
     ) -> tuple[Stumps, Search | None]:
         """The best stump of every problem, and what the next round searches."""
         search = self._search(generator) if memory is None else memory
-        shape = (2, weights.shape[2], weights.shape[1])  # right and wrong, classes, problems
-        by_class = weights.transpose(1, 2), targets.transpose(1, 2)
-        table = torch.stack([by_class[0] * by_class[1], by_class[0] * ~by_class[1]], 1).flatten(1)
-        total = table.sum(0, dtype=torch.float64).to(table.dtype)
-        if not bool((total < HEAVIEST).all()):  # not where one is NaN, too
-            raise ValueError(overflow(weights))
         shortlisting = self.reuse > 1 and self.drawn == 0 and memory is None
         found, minima = [], []
-        for chunk in search.data.chunks(self._chunk(table.shape[1])):
-            below = _histograms(chunk, table, total).cumsum_(1).unflatten(2, shape)
-            loss = _loss(below)  # [columns, bins, problems]
+        for chunk, below, loss in _sweep(search.data, weights, targets):
             found.append(_lowest(loss, below, chunk.thresholds))
             if shortlisting:
                 minima.append(loss.amin(1))
         values, places, thresholds, sides = (torch.stack(part) for part in zip(*found, strict=True))
         chunk_of = values.argmin(0)
         problems = torch.arange(len(chunk_of), device=self.device)
-        column = places[chunk_of, problems] + chunk_of * self._chunk(table.shape[1])
+        column = places[chunk_of, problems] + chunk_of * _columns_at_a_time(weights)
         held = (weights > 0).any(2).sum(0).clamp(min=1)
         slack = self.smoothing * weights.sum((0, 2)) / (held * weights.shape[2])
         votes = _votes(sides[chunk_of, problems], slack)
@@ -164,10 +157,40 @@ class StumpLearner:
         columns = torch.randperm(n_columns, generator=generator)[: self.drawn].sort().values
         return Search(self.data.take(columns), self.reuse)
 
-    def _chunk(self, entries: int) -> int:
-        """Columns whose histograms are in memory at a time."""
-        room = CACHED if self.device.type == "cpu" else ON_DEVICE
-        return min(max(room // (LEVELS * entries), 1), 128)
+
+def column_losses(
+    data: SortedLevels,
+    weights: Float[Tensor, "frames problems classes"],
+    targets: Bool[Tensor, "frames #problems classes"],
+) -> Float[Tensor, "sorted problems"]:
+    """Z / 2 of the best stump in every sorted column."""
+    return torch.cat([loss.amin(1) for _, _, loss in _sweep(data, weights, targets)])
+
+
+def _sweep(
+    data: SortedLevels, weights: Tensor, targets: Tensor
+) -> Iterator[
+    tuple[
+        SortedColumns,
+        Float[Tensor, "columns bins 2 classes problems"],
+        Float[Tensor, "columns bins problems"],
+    ]
+]:
+    """Chunks of columns with the weights up to every threshold, right and wrong, and its Z / 2."""
+    weights, targets = weights.transpose(1, 2), targets.transpose(1, 2)
+    table = torch.stack([weights * targets, weights * ~targets], 1).flatten(1)
+    total = table.sum(0, dtype=torch.float64).to(table.dtype)
+    if not bool((total < HEAVIEST).all()):  # nor where one is NaN
+        raise ValueError(overflow(weights.transpose(1, 2)))
+    for chunk in data.chunks(_columns_at_a_time(weights)):
+        below = _histograms(chunk, table, total).cumsum_(1).unflatten(2, (2, *weights.shape[1:]))
+        yield chunk, below, _loss(below)
+
+
+def _columns_at_a_time(weights: Tensor) -> int:
+    """Columns whose histograms are in memory together."""
+    room = CACHED if weights.device.type == "cpu" else ON_DEVICE
+    return min(max(room // (LEVELS * 2 * weights[0].numel()), 1), 128)
 
 
 def _histograms(

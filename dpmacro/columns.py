@@ -1,0 +1,112 @@
+"""Images to sorted feature columns, in a form that fits into the memory there is.
+
+A level takes a byte a column and frame, its place in the sorted order four more. Where sorted columns do not
+fit, levels alone are held and boosting sorts as many random columns as fit, drawn anew every few rounds;
+where the levels of all columns do not fit either, random columns of the feature set are left out.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Int64, UInt8
+from torch import Tensor
+
+from dpmacro.features import FeatureSet, Quantiser, frames_before
+from dpmacro.learners.sorting import SortedLevels
+
+__all__ = ["Plan", "prepare"]
+
+GIB = 2**30
+LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
+VALUES = 2**26  # integers that are quantised at a time
+SAMPLED = 20_000  # frames that choose the cuts, evenly spaced, where there are more
+LEAST_COLUMNS = 64
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How the feature columns are held.
+
+    Attributes:
+        columns: how many of the feature set are kept.
+        drawn: how many of them a boosting round searches at most; 0 for all, held sorted.
+        gibibytes: estimate of the most memory that training takes.
+    """
+
+    columns: int
+    drawn: int
+    gibibytes: float
+
+    @classmethod
+    def fitting(
+        cls, n_frames: int, image_bytes: int, n_columns: int, table_bytes: int, limit: float
+    ) -> "Plan":
+        """The richest plan within `limit` GiB.
+
+        Args:
+            n_frames: of all demonstrations.
+            image_bytes: of one frame.
+            n_columns: of the feature set.
+            table_bytes: scores, losses and weights of one frame while boosting.
+
+        Raises ValueError with the least limit where there is no room for `LEAST_COLUMNS` columns.
+        """
+        fixed = LIBRARIES + n_frames * image_bytes
+        boosting = n_frames * table_bytes
+
+        def most(columns: int, drawn: int) -> float:
+            quantising = 4 * min(VALUES, n_columns * n_frames)
+            return (fixed + columns * n_frames + max(quantising, boosting + 4 * drawn * n_frames)) / GIB
+
+        if most(n_columns, n_columns) <= limit:
+            return cls(n_columns, 0, most(n_columns, n_columns))
+        columns, least = n_columns, min(LEAST_COLUMNS, n_columns)
+        while most(columns, least) > limit and columns > least:
+            columns = max(columns // 2, least)
+        if most(columns, least) > limit:
+            raise ValueError(
+                f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at least"
+            )
+        room = limit * GIB - fixed - boosting - columns * n_frames
+        drawn = max(least, min(int(room / (4 * n_frames)), columns))
+        return cls(columns, drawn, most(columns, drawn))
+
+
+def prepare(
+    images: UInt8[Tensor, "frames height width 3"],
+    lengths: Int64[Tensor, " trajectories"],
+    features: FeatureSet,
+    plan: Plan,
+    generator: torch.Generator,
+    on_columns: Callable[[int], None] = lambda _: None,
+) -> tuple[FeatureSet, Quantiser, SortedLevels]:
+    """The columns that the plan keeps, their cuts, and the levels of every frame, sorted if it says so.
+
+    Columns are computed a part at a time, so that raw values never stand in memory all at once; `on_columns`
+    is told how many are done.
+    """
+    if plan.columns < features.count:
+        kept = torch.randperm(features.count, generator=generator)[: plan.columns].sort().values
+        features = features.select(kept)
+    before = frames_before(lengths.to(images.device))
+    n_frames = len(images)
+    sample = torch.linspace(0, n_frames - 1, min(n_frames, SAMPLED), device=images.device).round().long()
+    levels = torch.empty(features.count, n_frames, dtype=torch.uint8, device=images.device)
+    cuts = []
+    for numbers in torch.arange(features.count).split(max(VALUES // len(sample), 1)):
+        part = features.select(numbers)
+        values = part.values(images[sample], images[before[sample]])
+        quantiser = Quantiser.fit(values)
+        cuts.append(quantiser.cuts)
+        rows = slice(int(numbers[0]), int(numbers[-1]) + 1)
+        if len(sample) == n_frames:
+            levels[rows] = quantiser.levels(values)
+        else:
+            for frames in torch.arange(n_frames, device=images.device).split(max(VALUES // len(numbers), 1)):
+                values = part.values(images[frames], images[before[frames]])
+                levels[rows, frames[0] : frames[-1] + 1] = quantiser.levels(values)
+        on_columns(len(numbers))
+    del values
+    data = SortedLevels.unsorted(levels) if plan.drawn else SortedLevels.build(levels)
+    return features, Quantiser(torch.cat(cuts)), data

@@ -1,0 +1,86 @@
+"""Plans that fit the memory, and columns that do not depend on how they are computed."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpmacro import columns
+from dpmacro.columns import GIB, LEAST_COLUMNS, LIBRARIES, Plan, prepare
+from dpmacro.features import Quantiser, make_features, previous_images
+from dpmacro.learners.sorting import SortedLevels
+
+
+def test_the_sizes_of_the_goal():
+    plan = Plan.fitting(17_000, 9216, 18_432, 120, 2.5)
+    assert (plan.columns, plan.drawn) == (18_432, 0)
+    large = Plan.fitting(200_000, 9216, 4096, 120, 4.0)
+    assert large.columns == 4096 and 500 < large.drawn < 4096
+
+
+@given(
+    n_frames=st.integers(10, 300_000),
+    n_columns=st.integers(1, 20_000),
+    table_bytes=st.integers(12, 10_000),
+    limit=st.floats(0.7, 16),
+)
+def test_a_plan_stays_within_the_limit_and_uses_what_there_is(n_frames, n_columns, table_bytes, limit):
+    try:
+        plan = Plan.fitting(n_frames, 9216, n_columns, table_bytes, limit)
+    except ValueError as error:
+        assert f"memory_limit is {limit:g} GiB" in str(error)
+        assert n_frames * (9216 + table_bytes + 5) > (limit - 2) * GIB
+        return
+    assert plan.gibibytes <= limit
+    assert min(LEAST_COLUMNS, n_columns) <= plan.columns <= n_columns
+    assert plan.drawn <= plan.columns
+    if plan.columns < n_columns:
+        assert plan.drawn >= LEAST_COLUMNS or plan.drawn == plan.columns
+    assert plan.gibibytes * GIB > LIBRARIES
+
+
+def example(n_frames=90):
+    generator = torch.Generator().manual_seed(0)
+    images = torch.randint(0, 256, (n_frames, 12, 16, 3), dtype=torch.uint8, generator=generator)
+    return images, torch.tensor([40, n_frames - 40])
+
+
+@pytest.mark.parametrize("kind", ["pixels", "rectangles"])
+@pytest.mark.parametrize("at_a_time", [2**26, 1000])
+def test_columns_are_those_computed_all_at_once(monkeypatch, kind, at_a_time):
+    images, lengths = example()
+    features = make_features(kind, 12, 16, 70, torch.Generator().manual_seed(1))
+    values = features.values(images, previous_images(images, lengths))
+    quantiser = Quantiser.fit(values)
+    monkeypatch.setattr(columns, "VALUES", at_a_time)
+    done = []
+    same, cuts, data = prepare(
+        images, lengths, features, Plan(features.count, 0, 1.0), torch.Generator(), done.append
+    )
+    assert same is features and sum(done) == features.count
+    assert torch.equal(cuts.cuts, quantiser.cuts)
+    assert torch.equal(data.levels, quantiser.levels(values))
+    assert torch.equal(data.order, SortedLevels.build(data.levels).order)
+
+
+def test_a_sample_of_many_frames_chooses_the_cuts(monkeypatch):
+    images, lengths = example()
+    features = make_features("rectangles", 12, 16, 70, torch.Generator().manual_seed(1))
+    values = features.values(images, previous_images(images, lengths))
+    monkeypatch.setattr(columns, "SAMPLED", 30)
+    monkeypatch.setattr(columns, "VALUES", 700)
+    _, quantiser, data = prepare(images, lengths, features, Plan(70, 20, 1.0), torch.Generator())
+    assert torch.equal(data.levels, quantiser.levels(values))
+    assert not torch.equal(quantiser.cuts, Quantiser.fit(values).cuts)
+    assert len(data.columns) == 0
+
+
+def test_columns_that_do_not_fit_are_left_out_at_random():
+    images, lengths = example()
+    features = make_features("rectangles", 12, 16, 70, torch.Generator().manual_seed(1))
+    kept, quantiser, data = prepare(
+        images, lengths, features, Plan(20, 5, 1.0), torch.Generator().manual_seed(2)
+    )
+    assert kept.count == len(quantiser.cuts) == data.n_columns == 20
+    rows = {tuple(box) for box in features.first.tolist()}
+    assert all(tuple(box) in rows for box in kept.first.tolist())
