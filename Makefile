@@ -5,10 +5,11 @@ VENV ?= .venv
 PYTHON ?= $(if $(wildcard $(VENV)/.installed-*),$(VENV)/bin/python,python3)
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 INSTALLED := $(VENV)/.installed-$(VERSION)
+PEERS := $(VENV)/.bench-$(VERSION)
 BIN := $(VENV)/bin
 WORKERS ?= 2
 
-.PHONY: help venv test lint types pytest demo clean-demo
+.PHONY: help venv test lint types pytest demo clean-demo bench
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -73,3 +74,12 @@ $(EVAL)/%/eval_info.json: $(DEMO)/train/%/checkpoints/last/pretrained_model/conf
 
 clean-demo: ## remove what make demo made
 	rm -rf $(DEMO) $(DATASET)
+
+SMALL := --quick=true --matrices='[pixels, random]'
+
+bench: $(PEERS) $(DATASET)/meta/info.json ## measure against other libraries (make bench QUICK=1 for small data)
+	$(BIN)/python benchmarks/bench.py --dataset=$(DATASET) --threads=$(WORKERS) $(if $(QUICK),$(SMALL)) $(BENCH)
+
+$(PEERS): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --editable '.[bench]'
+	touch $@

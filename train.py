@@ -25,6 +25,8 @@ def main(options: TrainOptions) -> None:
     dataset = options.dataset
     assert dataset.root is not None, "the options checked it"
     demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera)
+    if dataset.mirror:
+        demonstrations = demonstrations.mirrored(dataset.mirror_actions)
     started = time.perf_counter()
     result = Trainer(demonstrations, options, folder).train()
     print(report(result, folder, time.perf_counter() - started))
@@ -44,7 +46,10 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
         lines.append(
             f"switch {source}->{target}  recognises {share:.0%} of the changes in left-out demonstrations"
         )
+    plan = result.plan
+    searched = f"{plan.drawn} drawn at a time" if plan.drawn else "all sorted"
     lines += [
+        f"columns      {plan.columns}, {searched}, about {plan.gibibytes:.1f} GiB at most",
         f"time         {seconds:.1f} s",
         f"policy       {result.pretrained}",
         f"pictures     {folder.figures}",

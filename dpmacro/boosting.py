@@ -107,6 +107,7 @@ class Boosting:
             steps = steps * (torch.arange(len(steps), device=steps.device)[:, None] < rounds)
         return self.learner.strong(self._rounds, steps)
 
+
 def exponentials_of(
     scores: Float[Tensor, "frames problems classes"], targets: Bool[Tensor, "frames #problems classes"]
 ) -> Float[Tensor, "frames problems classes"]:

@@ -106,7 +106,7 @@ def prepare(
             for frames in torch.arange(n_frames, device=images.device).split(max(VALUES // len(numbers), 1)):
                 values = part.values(images[frames], images[before[frames]])
                 levels[rows, frames[0] : frames[-1] + 1] = quantiser.levels(values)
+        del values  # before the next part needs as much
         on_columns(len(numbers))
-    del values
     data = SortedLevels.unsorted(levels) if plan.drawn else SortedLevels.build(levels)
     return features, Quantiser(torch.cat(cuts)), data

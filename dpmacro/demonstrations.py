@@ -1,17 +1,22 @@
 """Demonstrations: what was seen and which action was taken, frame after frame, read from LeRobot datasets."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from jaxtyping import Int64, UInt8
 
 from dpmacro.decoding import DatasetError, decode_images
 from dpmacro.lerobot_v3 import StoredDataset
 
 __all__ = ["DatasetError", "Demonstrations"]
+
+_SIDES = re.compile("left|right", re.IGNORECASE)
+_OTHER_SIDE = {"left": "right", "right": "left"}
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,7 @@ class Demonstrations:
         phase: the true macro-label, for metrics only; None where the data has none.
         world: {"id": "TwoFlags-v0", **options} of the world recorded from; {} where the data does not say.
         root: the dataset's folder.
+        mirror_images: so many trajectories at the end are mirror images of as many at the start.
     """
 
     images: UInt8[np.ndarray, "frames height width 3"]
@@ -37,6 +43,7 @@ class Demonstrations:
     phase: Int64[np.ndarray, " frames"] | None
     world: dict[str, Any]
     root: Path
+    mirror_images: int = 0
 
     @classmethod
     def load(
@@ -65,10 +72,13 @@ class Demonstrations:
         names = [name for name in ("action", "discrete_action", "phase") if name in store.features]
         columns = store.columns([*names, camera] if stored_as_image else names, chosen)
         actions, action_names = _discrete_actions(store, columns)
+        if stored_as_image:
+            images = decode_images(columns.pop(camera), f"dataset {root}, {camera}")
+            pa.default_memory_pool().release_unused()  # the encoded ones: Arrow would keep their memory
+        else:
+            images = store.video(camera, chosen)
         return cls(
-            images=decode_images(columns[camera], f"dataset {root}, {camera}")
-            if stored_as_image
-            else store.video(camera, chosen),
+            images=images,
             actions=actions,
             lengths=np.array([row["length"] for row in chosen], np.int64),
             action_names=action_names,
@@ -87,7 +97,8 @@ class Demonstrations:
     def select(self, trajectory_indices: Sequence[int] | Int64[np.ndarray, " chosen"]) -> "Demonstrations":
         """The given trajectories (0..I-1, any order, repeats allowed) as demonstrations of their own.
 
-        Raises ValueError where there is none, or one that does not exist.
+        Mirror images count as any other from then on. Raises ValueError where there is none, or one that does
+        not exist.
         """
         chosen = [int(index) for index in trajectory_indices]
         wrong = [index for index in chosen if not 0 <= index < len(self.lengths)]
@@ -101,7 +112,57 @@ class Demonstrations:
             actions=self.actions[frames],
             lengths=self.lengths[chosen],
             phase=None if self.phase is None else self.phase[frames],
+            mirror_images=0,
         )
+
+    def mirrored(self, swaps: Sequence[Sequence[int]] | None = None) -> "Demonstrations":
+        """These trajectories, then the mirror image of each: left and right exchanged in sight and action.
+
+        `swaps` are pairs of actions to exchange; by default those whose names differ in left and right only.
+        The images take twice the memory, three times while both are there. Raises ValueError where names
+        tell no pair or half of one, and where `swaps` are no disjoint pairs of different actions.
+        """
+        swapped = np.arange(len(self.action_names))
+        for one, other in _named_swaps(self.action_names) if swaps is None else self._checked(swaps):
+            swapped[[one, other]] = other, one
+        return replace(
+            self,
+            images=np.concatenate([self.images, self.images[:, :, ::-1]]),
+            actions=np.concatenate([self.actions, swapped[self.actions]]),
+            lengths=np.tile(self.lengths, 2),
+            phase=None if self.phase is None else np.tile(self.phase, 2),
+            mirror_images=len(self.lengths),
+        )
+
+    def _checked(self, swaps: Sequence[Sequence[int]]) -> Sequence[Sequence[int]]:
+        flat = [action for pair in swaps for action in pair]
+        known = all(0 <= action < len(self.action_names) for action in flat)
+        if not known or len(set(flat)) < len(flat) or any(len(pair) != 2 for pair in swaps):
+            raise ValueError(
+                f"mirror_actions is {[list(pair) for pair in swaps]}: give pairs of different actions, each "
+                f"once, out of {_numbered(self.action_names)}"
+            )
+        return swaps
+
+
+def _named_swaps(names: tuple[str, ...]) -> list[tuple[int, int]]:
+    """The pairs of actions whose names differ in left and right only."""
+    others = {name: _SIDES.sub(lambda side: _OTHER_SIDE[side[0].lower()], name.lower()) for name in names}
+    places = {name.lower(): place for place, name in enumerate(names)}
+    alone = [name for name, other in others.items() if other != name.lower() and other not in places]
+    pairs = [(places[name.lower()], places[other]) for name, other in others.items() if other in places]
+    swaps = [(one, other) for one, other in pairs if one < other]
+    if alone or not swaps:
+        found = f"{alone[0]!r} has no counterpart" if alone else "none is a left or a right one"
+        raise ValueError(
+            f"mirroring needs to know which actions to exchange, and {found} among {_numbered(names)}: "
+            "give them as pairs, like --dataset.mirror_actions='[[1,2]]', or '[]' where none is"
+        )
+    return swaps
+
+
+def _numbered(names: tuple[str, ...]) -> str:
+    return ", ".join(f"{number} ({name})" for number, name in enumerate(names))
 
 
 def _choose_camera(store: StoredDataset, camera: str | None) -> str:

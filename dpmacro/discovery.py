@@ -60,6 +60,7 @@ class DPBoostResult:
 class _Task:
     actions: Int64[Tensor, " frames"]
     lengths: Int64[Tensor, " trajectories"]
+    groups: Int64[Tensor, " trajectories"]
     n_actions: int
 
 
@@ -131,6 +132,7 @@ class DPBoost:
         actions: Int64[Tensor, " frames"] | np.ndarray | Sequence[int],
         lengths: Int64[Tensor, " trajectories"] | np.ndarray | Sequence[int],
         on_round: Callable[[Round], None] = lambda _: None,
+        groups: Int64[Tensor, " trajectories"] | None = None,
     ) -> DPBoostResult:
         """Find macro-labels and strong classifiers.
 
@@ -139,6 +141,7 @@ class DPBoost:
             actions: 0..M-1 of every frame.
             lengths: frames of every trajectory.
             on_round: called after every boosting round.
+            groups: numbers 0.. of trajectories to leave out together, like mirror images; alone by default.
 
         Raises ValueError where the shapes disagree, a feature is not finite, an action is negative, or there
         are more macro-actions than frames.
@@ -148,7 +151,8 @@ class DPBoost:
         data, quantiser = self._prepare(features)
         _check(data, actions, lengths, self.macros)
         generator = torch.Generator().manual_seed(self.seed)
-        task = _Task(actions.to(self.device), lengths, int(actions.max()) + 1)
+        groups = torch.arange(len(lengths)) if groups is None else groups.cpu()
+        task = _Task(actions.to(self.device), lengths, groups, int(actions.max()) + 1)
         candidates: Candidates | None = None
         verdicts: dict[int, Verdict] = {}
         labels = torch.zeros(1, len(actions), dtype=torch.int64)
@@ -158,7 +162,7 @@ class DPBoost:
         learner, rounds = self.learner(data), self.rounds
         if self.early_stopping:
             held = labels[0], task.actions, lengths
-            rounds = validated_rounds(learner, *held, rounds, self.shrinkage, generator, on_round)
+            rounds = validated_rounds(learner, *held, rounds, self.shrinkage, generator, groups, on_round)
         boosting = self._boosting(learner, task, 1, generator)
         fitted = self._alternate(boosting, task, labels, "fit", rounds, on_round)
         return DPBoostResult(
@@ -257,13 +261,15 @@ class DPBoost:
         candidates: Candidates,
         on_round: Callable[[Round], None],
     ) -> tuple[Int64[Tensor, "1 frames"], dict[int, Verdict]]:
-        """The candidate with the best verdict; of a single trajectory, the one with the least loss."""
+        """The candidate with the best verdict; with nothing to leave out, the one with the least loss."""
         order = candidates.loss[-1].argsort()
         order = order[distinct(candidates.labels[order])]
-        if len(task.lengths) < 2:
+        if int(task.groups.max()) == 0:
             return candidates.labels[order[:1]], {}
         rivals = candidates.labels[order]
-        verdicts = judge(data, task.actions, task.lengths, rivals, task.n_actions, self.seed, on_round)
+        verdicts = judge(
+            data, task.actions, task.lengths, rivals, task.n_actions, self.seed, task.groups, on_round
+        )
         best = best_verdict(verdicts)
         return rivals[best : best + 1], {int(order[k]): verdict for k, verdict in verdicts.items()}
 

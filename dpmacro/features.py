@@ -5,10 +5,12 @@ is exact: it does not depend on the batch, the device or the order of summation.
 256 levels by cuts that the training frames choose.
 """
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Int32, Int64, Num, UInt8
 from torch import Tensor
@@ -21,14 +23,28 @@ __all__ = [
     "Quantiser",
     "Rectangles",
     "features_from",
+    "frames_before",
     "make_features",
     "previous_images",
 ]
 
 LEVELS = 256
-CHANNELS = 8
-CHUNK_FRAMES = 32  # so many frames' integral images stay in the cache
+CHUNK_FRAMES = 64  # so many frames' integral images stay in the cache
 CHUNK_COLUMNS = 256
+CHUNK_SEARCHES = 2**19  # values whose levels are searched together
+# The channels of rectangles in terms of R, G, B of the image and R, G, B of the one before it.
+CHANNELS = torch.tensor(
+    [
+        [1, 0, 0, 0, 0, 0],
+        [0, 1, 0, 0, 0, 0],
+        [0, 0, 1, 0, 0, 0],
+        [1, 0, 0, -1, 0, 0],
+        [0, 1, 0, 0, -1, 0],
+        [0, 0, 1, 0, 0, -1],
+        [1, -1, 0, 0, 0, 0],
+        [-1, -1, 2, 0, 0, 0],
+    ]
+)
 
 
 @runtime_checkable
@@ -87,16 +103,13 @@ class Pixels:
         previous: UInt8[Tensor, "frames height width 3"],
     ) -> Int32[Tensor, "columns frames"]:
         """0..255 for a colour, -255..255 for a difference."""
-        places = self.places.to(images.device)
-        plane = self.height * self.width
-        channel, place = places // plane, places % plane
-        flat = place * 3 + channel % 3
-        motion = (channel >= 3).to(torch.int32)[:, None]
+        rows = self._rows.to(images.device)
         result = torch.empty(self.count, len(images), dtype=torch.int32, device=images.device)
-        pairs = zip(images.split(CHUNK_FRAMES), previous.split(CHUNK_FRAMES), strict=True)
-        for chunk, (now, before) in zip(result.split(CHUNK_FRAMES, 1), pairs, strict=True):
-            old = before.flatten(1)[:, flat].T.to(torch.int32)
-            chunk.copy_(now.flatten(1)[:, flat].T.to(torch.int32) - motion * old)
+        for start in range(0, len(images), CHUNK_FRAMES):
+            chunk = slice(start, start + CHUNK_FRAMES)
+            colours = _frames_last(images[chunk]).to(torch.int16)
+            changes = colours - _frames_last(previous[chunk])
+            result[:, chunk] = torch.cat([colours, changes]).index_select(0, rows)
         return result
 
     def select(self, columns: Int64[Tensor, " selected"]) -> "Pixels":
@@ -106,6 +119,13 @@ class Pixels:
     def tensors(self) -> dict[str, Tensor]:
         """The places of the columns."""
         return {"places": self.places}
+
+    @cached_property
+    def _rows(self) -> Int64[Tensor, " columns"]:
+        """The places in images of [height, width, colour], changes after colours."""
+        plane = self.height * self.width
+        channel, place = self.places // plane, self.places % plane
+        return (channel // 3 * plane + place) * 3 + channel % 3
 
 
 @dataclass(frozen=True)
@@ -136,7 +156,7 @@ class Rectangles:
             exponent = torch.rand(count, generator=generator, dtype=torch.float64)
             return (float(limit) ** exponent).round().long().clamp(1, limit)
 
-        channel, tall, wide = uniform(CHANNELS), side(height), side(width)
+        channel, tall, wide = uniform(len(CHANNELS)), side(height), side(width)
 
         def place() -> Tensor:
             top, left = uniform(height - tall + 1), uniform(width - wide + 1)
@@ -157,14 +177,14 @@ class Rectangles:
         previous: UInt8[Tensor, "frames height width 3"],
     ) -> Int32[Tensor, "columns frames"]:
         """Sums over the pixels of one rectangle, or of one minus another."""
-        corners, signs = self._corners
-        corners = corners.to(images.device)
-        result = torch.zeros(self.count, len(images), dtype=torch.int32, device=images.device)
-        pairs = zip(images.split(CHUNK_FRAMES), previous.split(CHUNK_FRAMES), strict=True)
-        for chunk, (now, before) in zip(result.split(CHUNK_FRAMES, 1), pairs, strict=True):
-            integral = _integral_images(now, before)
-            for corner, sign in zip(corners, signs, strict=True):
-                chunk.add_(integral[corner], alpha=sign)
+        rows, factors, starts = (part.to(images.device) for part in self._corners)
+        result = torch.empty(self.count, len(images), dtype=torch.int32, device=images.device)
+        for start in range(0, len(images), CHUNK_FRAMES):
+            chunk = slice(start, start + CHUNK_FRAMES)
+            sums = _integral_images(images[chunk], previous[chunk], factors.dtype)
+            result[:, chunk] = torch.nn.functional.embedding_bag(
+                rows, sums, starts, mode="sum", per_sample_weights=factors
+            )
         return result
 
     def select(self, columns: Int64[Tensor, " selected"]) -> "Rectangles":
@@ -177,26 +197,60 @@ class Rectangles:
         return {"first": self.first, "second": self.second}
 
     @cached_property
-    def _corners(self) -> tuple[Tensor, list[int]]:
-        """Rows [8, columns] of the integral images and their signs: a rectangle's sum is four corners."""
-        rows, signs = [], []
-        for boxes, sign in ((self.first, 1), (self.second, -1)):
-            channel, top, left, tall, wide = boxes.long().unbind(1)
+    def _corners(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Rows of `_integral_images` with their factors, concatenated, and where each column's begin.
+
+        A rectangle's sum is that of four corners in each colour that its channel is made of.
+        """
+        rows, factors = [], []
+        colours = torch.arange(CHANNELS.shape[1])
+        for boxes, sign in ((self.first.cpu().long(), 1), (self.second.cpu().long(), -1)):
+            channel, top, left, tall, wide = boxes.unbind(1)
+            mixture = sign * CHANNELS[channel] * (tall * wide > 0)[:, None]
             bottom, right = top + tall, left + wide
             for y, x, corner in ((top, left, 1), (top, right, -1), (bottom, left, -1), (bottom, right, 1)):
-                rows.append((channel * (self.height + 1) + y) * (self.width + 1) + x)
-                signs.append(sign * corner)
-        return torch.stack(rows), signs
+                rows.append((y * (self.width + 1) + x)[:, None] * len(colours) + colours)
+                factors.append(corner * mixture)
+        row, factor = torch.cat(rows, 1), torch.cat(factors, 1)
+        used = factor != 0
+        starts = torch.nn.functional.pad(used.sum(1).cumsum(0), (1, 0))[:-1]
+        return row[used], factor[used].to(_exact(self.height * self.width)), starts
 
 
-def _integral_images(images: Tensor, previous: Tensor) -> Tensor:
-    """Sums over all pixels above and left of a corner, as [channel * corner, frames], frames last."""
-    now = images.permute(3, 1, 2, 0).to(torch.int32)
-    before = previous.permute(3, 1, 2, 0).to(torch.int32)
-    red, green, blue = now
-    channels = torch.stack([*now, *(now - before), red - green, 2 * blue - red - green])
-    sums = channels.cumsum(1, dtype=torch.int32).cumsum(2, dtype=torch.int32)
-    return torch.nn.functional.pad(sums, (0, 0, 1, 0, 1, 0)).flatten(0, 2)
+def _frames_last(images: Tensor) -> Tensor:
+    """[frames, height, width, 3] as [height * width * 3, frames]."""
+    return images.reshape(len(images), -1).T.contiguous()
+
+
+def _exact(area: int) -> torch.dtype:
+    """A floating-point type in which sums of corners are exact whatever their order.
+
+    A corner is at most 255 * area. In the column with the most terms, a difference of two rectangles of
+    2B - R - G, those of one sign add up to 16 corners.
+    """
+    return torch.float32 if 16 * 255 * area < 2**24 else torch.float64
+
+
+def _integral_images(images: Tensor, previous: Tensor, dtype: torch.dtype) -> Tensor:
+    """Sums over all pixels above and left of a corner, [(y * (width + 1) + x) * 6 + colour, frames].
+
+    Frames last: a running sum then adds whole rows of them, in float since `embedding_bag` wants that.
+    """
+    n_frames, height, width, _ = images.shape
+    if n_frames == 1 or images.is_cuda:
+        colours = torch.cat([images, previous], 3).permute(1, 2, 3, 0)
+        sums = colours.cumsum(0, dtype=dtype).cumsum(1)
+        return torch.nn.functional.pad(sums, (0, 0, 0, 0, 1, 0, 1, 0)).flatten(0, 2)
+    sums = torch.empty(height + 1, width + 1, 6, n_frames, dtype=dtype, device=images.device)
+    sums[0] = 0
+    sums[:, 0] = 0
+    inner = sums[1:, 1:]
+    inner[:, :, :3] = _frames_last(images).view(height, width, 3, n_frames)
+    inner[:, :, 3:] = _frames_last(previous).view(height, width, 3, n_frames)
+    for lines in (inner, inner.transpose(0, 1)):
+        for before, line in itertools.pairwise(lines):  # `cumsum` walks across the rows, ten times slower
+            line += before
+    return sums.flatten(0, 2)
 
 
 @dataclass(frozen=True)
@@ -216,7 +270,7 @@ class Quantiser:
         steps = torch.arange(1, half + 1, device=values.device)
         cuts = []
         for chunk in values.split(CHUNK_COLUMNS):
-            ordered = chunk.sort(1).values
+            ordered = _sorted(chunk)
             low, high = ordered[:, :1].double(), ordered[:, -1:].double()
             even = low + (high - low) * steps / half
             even = even if values.is_floating_point() else even.ceil()
@@ -229,15 +283,36 @@ class Quantiser:
 
     def levels(self, values: Num[Tensor, "columns frames"]) -> UInt8[Tensor, "columns frames"]:
         """The level 0..255 of every value."""
+        if values.shape[1] == 1:  # one operation for the frame that an environment waits for
+            return torch.searchsorted(self.cuts, values, right=True, out_int32=True).to(torch.uint8)
         result = torch.empty(values.shape, dtype=torch.uint8, device=values.device)
-        chunks = zip(self.cuts.split(CHUNK_COLUMNS), values.split(CHUNK_COLUMNS), strict=True)
-        for level, (cuts, value) in zip(result.split(CHUNK_COLUMNS), chunks, strict=True):
-            level.copy_(torch.searchsorted(cuts, value.contiguous(), right=True, out_int32=True))
+        columns = max(1, CHUNK_SEARCHES // max(1, values.shape[1]))
+        for start in range(0, len(values), columns):
+            chunk = slice(start, start + columns)
+            result[chunk] = _count_not_above(self.cuts[chunk], values[chunk])
         return result
 
     def select(self, columns: Int64[Tensor, " selected"]) -> "Quantiser":
         """Just these columns, in this order."""
         return Quantiser(self.cuts[columns.to(self.cuts.device)])
+
+
+def _sorted(rows: Tensor) -> Tensor:
+    """Every row ascending; NumPy sorts 20 times faster than PyTorch, which sorts indices along."""
+    if rows.device.type == "cpu":
+        return torch.from_numpy(np.sort(rows.numpy(), axis=1))
+    return rows.sort(1).values
+
+
+def _count_not_above(cuts: Tensor, values: Tensor) -> Tensor:
+    """For every value the number of its row's 255 ascending cuts that are not above it.
+
+    All binary searches take their eight steps together; `searchsorted` mispredicts a branch at most of them.
+    """
+    found = 128 * (cuts[:, 127:128] <= values).long()
+    for step in (64, 32, 16, 8, 4, 2, 1):
+        found.add_(cuts.gather(1, found + (step - 1)) <= values, alpha=step)
+    return found
 
 
 FEATURES = {"rectangles": Rectangles, "pixels": Pixels}
@@ -262,11 +337,15 @@ def features_from(kind: str, height: int, width: int, tensors: dict[str, Tensor]
     return FEATURES[kind](height, width, **tensors)
 
 
+def frames_before(lengths: Int64[Tensor, " trajectories"]) -> Int64[Tensor, " frames"]:
+    """The number of the frame before each frame of a trajectory; the first frame is its own predecessor."""
+    before = torch.arange(int(lengths.sum()), device=lengths.device) - 1
+    before[lengths.cumsum(0) - lengths] += 1
+    return before
+
+
 def previous_images(
     images: UInt8[Tensor, "frames height width 3"], lengths: Int64[Tensor, " trajectories"]
 ) -> UInt8[Tensor, "frames height width 3"]:
-    """The frame before each frame of a trajectory; the first frame is its own predecessor."""
-    index = torch.arange(len(images), device=images.device) - 1
-    starts = torch.nn.functional.pad(lengths.to(images.device).cumsum(0)[:-1], (1, 0))
-    index[starts] += 1
-    return images[index]
+    """The image before each image of a trajectory; the first is its own predecessor."""
+    return images[frames_before(lengths.to(images.device))]

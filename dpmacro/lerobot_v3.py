@@ -96,7 +96,8 @@ class StoredDataset:
     def columns(self, names: Sequence[str], episodes: list[dict[str, Any]]) -> dict[str, np.ndarray]:
         """The named columns of the given episodes, concatenated in their order.
 
-        A scalar feature comes as [frames], a vector as [frames, size], an image as [frames] of PNG bytes.
+        A scalar feature comes as [frames], a vector as [frames, size], an image as [frames] of buffers that
+        hold its PNG.
         """
         pieces: dict[str, dict[int, np.ndarray]] = {name: {} for name in names}
         for path, group in _by_file(episodes, "data", self._data_file):
@@ -220,10 +221,11 @@ def _read_episodes(root: Path) -> list[dict[str, Any]]:
 
 
 def _to_numpy(column: pa.ChunkedArray) -> np.ndarray:
-    """A parquet column as [rows], [rows, size] or, for an image struct, [rows] of its bytes."""
+    """A parquet column as [rows], [rows, size] or, for an image struct, [rows] of buffers."""
     if pa.types.is_struct(column.type):
         values = np.empty(len(column), object)
-        values[:] = pc.struct_field(column, "bytes").to_pylist()
+        # Views into the table: copies would be thousands of small objects whose memory is never given back.
+        values[:] = [content.as_buffer() for content in pc.struct_field(column, "bytes")]
         return values
     if pa.types.is_fixed_size_list(column.type) or pa.types.is_list(column.type):
         return pc.list_flatten(column).to_numpy().reshape(len(column), -1)

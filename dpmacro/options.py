@@ -23,6 +23,16 @@ class DatasetOptions:
     """Episodes to use; all by default."""
     camera: str | None = None
     """Image feature to learn from, where the dataset has several."""
+    mirror: bool = False
+    """Whether to learn from the mirror image of every demonstration, too: turns left become turns right."""
+    mirror_actions: list[list[int]] | None = None
+    """Pairs of actions that a mirror exchanges, like [[1,2]]; by default those named left and right."""
+
+    def __post_init__(self) -> None:
+        if self.mirror_actions is not None and not self.mirror:
+            raise ValueError(
+                f"dataset.mirror_actions is {self.mirror_actions}: give --dataset.mirror=true, too"
+            )
 
 
 @dataclass(frozen=True)

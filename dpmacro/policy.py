@@ -3,21 +3,22 @@
 import json
 import math
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
-from jaxtyping import Int64, UInt8
+from jaxtyping import Bool, Int64, UInt8
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from dpmacro.features import FEATURES, FeatureSet, Quantiser, features_from
 from dpmacro.files import replacing
-from dpmacro.learners import StrongClassifier
-from dpmacro.learners.stumps import StumpClassifier
+from dpmacro.learners import Frames, StrongClassifier
+from dpmacro.learners.ensemble import classifier_from, classifier_tensors
 
 __all__ = ["MacroPlanner", "MacroPolicy", "PolicyConfig", "PolicyState"]
 
@@ -62,6 +63,7 @@ class PolicyState:
 
     macro: Int64[Tensor, " batch"]
     previous: UInt8[Tensor, "batch height width 3"] | None = None  # None before the first frame
+    restarted: Bool[Tensor, " batch"] | None = None  # environments whose next frame is their first
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,13 @@ class MacroPolicy:
         first = self.config.first_macro
         return PolicyState(torch.full((batch,), first, dtype=torch.int64, device=self.device))
 
-    @torch.no_grad()
+    def restart(self, state: PolicyState, which: Bool[Tensor, " batch"]) -> PolicyState:
+        """The state where the environments of `which` begin anew while the others run on."""
+        macro = torch.where(which, self.config.first_macro, state.macro)
+        restarted = which if state.restarted is None else state.restarted | which
+        return PolicyState(macro, state.previous, restarted)
+
+    @torch.inference_mode()
     def act(
         self, images: UInt8[Tensor, "batch height width 3"], state: PolicyState
     ) -> tuple[Int64[Tensor, " batch"], PolicyState]:
@@ -122,21 +130,29 @@ class MacroPolicy:
                 f"an image is {'x'.join(map(str, images.shape[1:]))}: the policy was trained on {wanted}"
             )
         previous = images if state.previous is None else state.previous
+        if state.restarted is not None:
+            previous = torch.where(state.restarted[:, None, None, None], images, previous)
         levels = self.quantiser.levels(self.features.values(images, previous))
-        macro = self._switch(levels, state.macro)
-        scores = self.actor.scores(levels)
+        frames = Frames(levels, images, previous)
+        macro = self._switch(frames, state.macro)
+        scores = self.actor.scores(frames)
         actions = scores[torch.arange(len(macro), device=macro.device), macro].argmax(1)
         return actions, PolicyState(macro, images)
 
-    def _switch(self, levels: UInt8[Tensor, "columns batch"], macro: Int64[Tensor, " batch"]) -> Tensor:
+    def _switch(self, frames: Frames, macro: Int64[Tensor, " batch"]) -> Tensor:
         if self.switcher is None:
             return macro
-        sources, targets = torch.tensor(self.config.switches, device=macro.device).unbind(1)
-        thresholds = torch.tensor(self.config.thresholds, device=macro.device)
-        excess = self.switcher.scores(levels)[:, :, 0] - thresholds
+        sources, targets, thresholds = self._routes
+        excess = self.switcher.scores(frames)[:, :, 0] - thresholds
         excess = excess.masked_fill(sources != macro[:, None], -torch.inf)
         highest = excess.max(1)
         return torch.where(highest.values > 0, targets[highest.indices], macro)
+
+    @cached_property
+    def _routes(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Where each switch function leads from and to, and its threshold."""
+        sources, targets = torch.tensor(self.config.switches, device=self.device).unbind(1)
+        return sources, targets, torch.tensor(self.config.thresholds, device=self.device)
 
     def planner(self) -> "MacroPlanner":
         """A planner for one running environment."""
@@ -173,15 +189,15 @@ class MacroPolicy:
             black = torch.zeros(1, *config.image_shape, 3, dtype=torch.uint8, device=policy.device)
             policy.act(black, policy.initial_state(1))
             return policy
-        except (SafetensorError, LookupError, TypeError, RuntimeError, OSError) as error:
+        except (SafetensorError, LookupError, TypeError, ValueError, RuntimeError, OSError) as error:
             raise ValueError(
                 f"{folder / WEIGHTS_NAME} cannot be read ({error}): train or copy it again"
             ) from error
 
     def _tensors(self) -> dict[str, Tensor]:
-        groups = {"features": self.features.tensors(), "actor": self.actor.tensors()}
+        groups = {"features": self.features.tensors(), "actor": classifier_tensors(self.actor)}
         if self.switcher is not None:
-            groups["switcher"] = self.switcher.tensors()
+            groups["switcher"] = classifier_tensors(self.switcher)
         named = {f"{group}.{name}": value for group, part in groups.items() for name, value in part.items()}
         return {**named, "quantiser.cuts": self.quantiser.cuts}
 
@@ -218,8 +234,8 @@ def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:
         config,
         features_from(config.features, *config.image_shape, groups["features"]),
         Quantiser(**groups["quantiser"]),
-        StumpClassifier(**groups["actor"]),
-        StumpClassifier(**groups["switcher"]) if config.switches else None,
+        classifier_from(groups["actor"]),
+        classifier_from(groups["switcher"]) if config.switches else None,
     )
 
 

@@ -13,12 +13,15 @@ transition at all. The inner minimum over m is a running minimum along time, so 
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
 __all__ = ["Segmentation", "segment", "transition_counts"]
+
+BLOCK = 2**17  # costs of so many frames and macro-actions stay in a core's cache
 
 
 @dataclass(frozen=True)
@@ -55,33 +58,16 @@ def segment(
     and a negative bound.
     """
     _check(costs, lengths, max_transitions, transition_costs)
-    n_macros = costs.shape[1]
-    padded = _pad(costs.double(), lengths).transpose(1, 2)  # [trajectories, macros, time]
-    padded_transitions = None
-    if transition_costs is not None:
-        padded_transitions = _pad(transition_costs.double(), lengths).permute(0, 2, 3, 1)
-    prefix = padded.cumsum(2)
-    last = (lengths - 1).to(costs.device)
-
-    best = prefix  # E_s(n, q)
-    ends = [_at(best, last)]  # [trajectories, macros] for every s
-    starts: list[Tensor] = []  # first frame after the last transition, 0 where there is none
-    sources: list[Tensor] = []  # the macro-action before it
-    for _ in range(min(max_transitions, padded.shape[2] - 1) if n_macros > 1 else 0):
-        entry, source = _cheapest_entry(best, padded_transitions)
-        gain, start = (entry - prefix[:, :, :-1]).cummin(2)
-        stays = torch.zeros_like(prefix)
-        stays[:, :, 1:] = gain.clamp(max=0)
-        moved = torch.zeros_like(prefix, dtype=torch.int64)
-        moved[:, :, 1:] = torch.where(gain < 0, start + 1, 0)
-        best = prefix + stays
-        ends.append(_at(best, last))
-        starts.append(moved)
-        sources.append(source)
-    by_bound = torch.stack([end.min(1).values for end in ends], 1)
-    labels = _trace_back(torch.stack(ends, 1), by_bound, starts, sources, lengths)
-    missing = max_transitions + 1 - by_bound.shape[1]
-    cost_by_bound = torch.cat([by_bound, by_bound[:, -1:].expand(-1, missing)], 1)
+    lengths = lengths.cpu()
+    size = (
+        max(1, BLOCK // (costs.shape[1] * int(lengths.max()))) if costs.device.type == "cpu" else len(lengths)
+    )
+    blocks, first = [], 0
+    for part in lengths.split(size):
+        frames = slice(first, first := first + int(part.sum()))
+        changes = None if transition_costs is None else transition_costs[frames].double()
+        blocks.append(_segment_block(costs[frames].double(), part, max_transitions, changes))
+    labels, cost_by_bound = (torch.cat(parts) for parts in zip(*blocks, strict=True))
     return Segmentation(labels, cost_by_bound[:, -1], cost_by_bound)
 
 
@@ -97,53 +83,88 @@ def transition_counts(
     return total[ends] - total[torch.nn.functional.pad(ends[:-1], (1, 0))]
 
 
-def _cheapest_entry(best: Tensor, transitions: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Min and argmin over q' != q of E(m-1, q') + T_m(q', q), for m = 2..N.
+def _segment_block(
+    costs: Tensor, lengths: Tensor, max_transitions: int, transition_costs: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """Labels [frames] and least costs [trajectories, bounds] of some trajectories, padded to one length."""
+    inside = (torch.arange(int(lengths.max())) < lengths[:, None]).to(costs.device)
+    last = (lengths - 1).to(costs.device)
+    prefix = _pad(costs, inside).cumsum(2)  # [trajectories, macros, time]
+    transitions = None if transition_costs is None else _pad(transition_costs, inside)
+    levels = min(max_transitions, prefix.shape[2] - 1) if prefix.shape[1] > 1 else 0
+    best = prefix.new_empty(levels + 1, *prefix.shape)  # E_s(n, q)
+    best[0] = prefix
+    entries = []  # cheapest arrivals at frames m = 2..N for s = 1.., [trajectories, 1 or Q, time - 1]
+    for before, after in pairwise(best):
+        entries.append(_cheapest_entry(before, transitions))
+        gain = (entries[-1] - prefix[:, :, :-1]).cummin(2).values.clamp_(max=0)
+        after[:, :, 0] = prefix[:, :, 0]
+        torch.add(prefix[:, :, 1:], gain, out=after[:, :, 1:])
+    by_bound = _at(best, last).amin(2).T
+    labels = _trace_back(best, entries, transitions, by_bound, last)
+    missing = max_transitions + 1 - by_bound.shape[1]
+    return labels[inside], torch.cat([by_bound, by_bound[:, -1:].expand(-1, missing)], 1)
 
-    Both come as [trajectories, macros, time - 1].
+
+def _cheapest_entry(best: Tensor, transitions: Tensor | None) -> Tensor:
+    """Min over q' of E(m-1, q') + T_m(q', q) for m = 2..N, [trajectories, 1 or Q, time - 1].
+
+    Where transitions cost nothing, q' = q need not be left out: arriving from the same macro-action is never
+    cheaper than staying in it, and the minimum is one for all q.
     """
-    n_macros = best.shape[1]
-    arriving = best[:, :, None, :-1].expand(-1, -1, n_macros, -1)  # [trajectories, from, to, time - 1]
-    if transitions is not None:
-        arriving = arriving + transitions[..., 1:]
-    same = torch.eye(n_macros, dtype=torch.bool, device=best.device)[:, :, None]
-    entry, source = arriving.masked_fill(same, torch.inf).min(1)
-    return entry, source
+    if transitions is None:
+        return best[:, :, :-1].amin(1, keepdim=True)
+    arriving = best[:, :, None, :-1] + transitions[..., 1:]
+    return arriving.masked_fill_(_diagonal(best), torch.inf).amin(1)
+
+
+def _diagonal(best: Tensor) -> Tensor:
+    """True where q' = q, as [macros, macros, 1]."""
+    return torch.eye(best.shape[1], dtype=torch.bool, device=best.device)[:, :, None]
 
 
 def _trace_back(
-    ends: Tensor, by_bound: Tensor, starts: list[Tensor], sources: list[Tensor], lengths: Tensor
-) -> Tensor:
-    """Labels [frames] from the recursion's arguments, all trajectories at once, last segment first."""
-    n_trajectories = len(ends)
-    rows = torch.arange(n_trajectories, device=ends.device)
+    best: Tensor, entries: list[Tensor], transitions: Tensor | None, by_bound: Tensor, last: Tensor
+) -> Int64[Tensor, "trajectories time"]:
+    """Labels from the recursion's costs, all trajectories at once, last segment first.
+
+    The recursion keeps no arguments: those on the way back are few, and found again from the costs.
+    """
+    rows = torch.arange(len(last), device=last.device)
     level = (by_bound <= by_bound[:, -1:]).int().argmax(1)  # the smallest bound that is as cheap
-    macro = ends[rows, level].argmin(1)
-    stop = lengths.to(ends.device)
-    time = torch.arange(int(lengths.max()), device=ends.device)
-    labels = torch.zeros(n_trajectories, len(time), dtype=torch.int64, device=ends.device)
-    never = torch.zeros(n_trajectories, ends.shape[2], len(time), dtype=torch.int64, device=ends.device)
-    start_of = torch.stack([never, *starts])
-    source_of = torch.stack(sources) if sources else never[None]
-    for _ in range(len(starts) + 1):
-        first = start_of[level, rows, macro, stop - 1]
-        labels = torch.where((time >= first[:, None]) & (time < stop[:, None]), macro[:, None], labels)
-        moved = first > 0
-        source = source_of[(level - 1).clamp(min=0), rows, macro, (first - 1).clamp(min=0)]
-        macro = torch.where(moved, source, macro)
-        level = torch.where(moved, level - 1, 0)
-        stop = torch.where(moved, first, stop)
-    return labels[time < lengths.to(ends.device)[:, None]]
+    macro = best[level, rows, :, last].argmin(1)
+    time = torch.arange(best.shape[3], device=last.device)
+    labels = macro[:, None].repeat(1, len(time))
+    if not entries:
+        return labels
+    arrivals = torch.stack(entries)
+    for _ in entries:
+        below = (level - 1).clamp(min=0)
+        gain = arrivals[below, rows, macro.clamp(max=arrivals.shape[2] - 1)] - best[0, rows, macro, :-1]
+        least = gain.masked_fill_(time[1:] > last[:, None], torch.inf).min(1)
+        moved = (least.values < 0) & (level > 0)
+        source = best[below, rows, :, least.indices]
+        if transitions is not None:
+            source = source + transitions[rows, :, macro, least.indices + 1]
+            source[rows, macro] = torch.inf
+        macro = torch.where(moved, source.argmin(1), macro)
+        last = torch.where(moved, least.indices, last)
+        level = torch.where(moved, below, 0)
+        labels = torch.where(moved[:, None] & (time <= last[:, None]), macro[:, None], labels)
+    return labels
 
 
-def _pad(values: Tensor, lengths: Tensor) -> Tensor:
-    """Concatenated frames as [trajectories, time, ...], zeros after the end of each."""
-    return torch.nn.utils.rnn.pad_sequence(values.split(lengths.tolist()), batch_first=True)
+def _pad(values: Tensor, inside: Tensor) -> Tensor:
+    """Concatenated frames as [trajectories, ..., time], zeros after the end of each."""
+    padded = values.new_zeros(*inside.shape, *values.shape[1:])
+    padded[inside] = values
+    return padded.movedim(1, -1).contiguous()
 
 
 def _at(values: Tensor, time: Tensor) -> Tensor:
-    """values[i, q, time[i]] as [trajectories, macros]."""
-    return values.gather(2, time[:, None, None].expand(-1, values.shape[1], 1)).squeeze(2)
+    """values[s, i, q, time[i]] as [bounds, trajectories, macros]."""
+    place = time[:, None, None].expand(*values.shape[:3], 1)
+    return values.gather(3, place).squeeze(3)
 
 
 def _check(costs: Tensor, lengths: Tensor, max_transitions: int, transition_costs: Tensor | None) -> None:
@@ -158,9 +179,9 @@ def _check(costs: Tensor, lengths: Tensor, max_transitions: int, transition_cost
         raise ValueError(f"trajectory {empty} has {int(lengths[empty])} frames: each needs one at least")
     if int(lengths.sum()) != len(costs):
         raise ValueError(f"lengths add up to {int(lengths.sum())} frames but costs have {len(costs)}")
-    bad = (~costs.isfinite()).nonzero()
-    if len(bad):
-        frame, macro = bad[0].tolist()
+    finite = costs.isfinite()
+    if not bool(finite.all()):
+        frame, macro = (~finite).nonzero()[0].tolist()
         value = costs[frame, macro].item()
         raise ValueError(f"the cost of frame {frame}, macro {macro} is {value}: costs must be finite")
     if transition_costs is None:

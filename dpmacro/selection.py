@@ -48,13 +48,15 @@ def judge(
     rivals: Int64[Tensor, "rivals frames"],
     n_actions: int,
     seed: int,
+    groups: Int64[Tensor, " trajectories"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,
 ) -> dict[int, Verdict]:
     """Verdicts on the finalists among rival segmentations, by their number.
 
-    All rivals get the same folds and random columns, drawn by `seed`. `on_round` is called after every
-    rival's switch functions, then after every boosting round of the finalists' classifiers, which grow side
-    by side. Raises ValueError with fewer than two trajectories: there is nothing to leave out.
+    All rivals get the same folds and random columns, drawn by `seed`; trajectories of the same group fall
+    into the same fold. `on_round` is called after every rival's switch functions, then after every boosting
+    round of the finalists' classifiers, which grow side by side. Raises ValueError with fewer than two
+    trajectories: there is nothing to leave out.
     """
     if len(lengths) < 2:
         raise ValueError(
@@ -64,7 +66,12 @@ def judge(
     learner = StumpLearner(data, drawn=SWITCH_COLUMNS)
     for number, labels in enumerate(rivals, 1):
         switches = fit_switches(
-            learner, labels, lengths, torch.Generator().manual_seed(seed), rounds=SWITCH_ROUNDS
+            learner,
+            labels,
+            lengths,
+            torch.Generator().manual_seed(seed),
+            rounds=SWITCH_ROUNDS,
+            groups=groups,
         )
         first = starting_macro(labels, lengths)
         causal.append(causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, first))
@@ -80,6 +87,7 @@ def judge(
         torch.stack([causal[k] for k in order]),
         n_actions,
         seed,
+        groups,
         on_round,
     )
     return {k: Verdict(detected[k], losses[f], errors[f]) for f, k in enumerate(order)}
@@ -93,12 +101,13 @@ def _causal_charges(
     causal: Int64[Tensor, "finalists frames"],
     n_actions: int,
     seed: int,
+    groups: Int64[Tensor, " trajectories"] | None,
     on_round: Callable[[Round], None],
 ) -> tuple[list[float], list[float]]:
     """Exponential loss and share of wrong actions per left-out frame, every frame under its causal label."""
     generator = torch.Generator().manual_seed(seed)
     n_rivals, n_macros = len(rivals), int(rivals.max()) + 1
-    fold_of = folds_of(len(lengths), FOLDS, generator).repeat_interleave(lengths)
+    fold_of = folds_of(len(lengths), FOLDS, generator, groups).repeat_interleave(lengths)
     n_folds = int(fold_of.max()) + 1
     held = torch.nn.functional.one_hot(rivals, n_macros).float().transpose(0, 1)
     kept = (fold_of[:, None] != torch.arange(n_folds)).float()

@@ -44,6 +44,7 @@ def validated_rounds(
     rounds: int,
     shrinkage: float,
     generator: torch.Generator,
+    groups: Int64[Tensor, " trajectories"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,
 ) -> int:
     """How many of `rounds` boosting rounds left-out trajectories want, 1 or more.
@@ -53,13 +54,14 @@ def validated_rounds(
     asked rather than the exponential loss, which rises as soon as a few left-out frames are confidently
     wrong, long before the planner's decisions suffer.
 
-    With fewer than two trajectories nothing can be left out, and a ValueError says so.
+    Trajectories of the same group are left out together. Raises ValueError where nothing can be left out.
     """
-    if len(lengths) < 2:
+    fold_of = folds_of(len(lengths), PARTS, generator, groups)
+    if int(fold_of.max()) == 0:
         raise ValueError(
             f"{len(lengths)} trajectory: early stopping leaves trajectories out, give two or more"
         )
-    left_out = (folds_of(len(lengths), PARTS, generator) == 0).repeat_interleave(lengths).to(learner.device)
+    left_out = (fold_of == 0).repeat_interleave(lengths).to(learner.device)
     labels, actions = labels.to(learner.device), actions.to(learner.device)
     n_macros = int(labels.max()) + 1
     base = torch.nn.functional.one_hot(labels, n_macros).float() * ~left_out[:, None]
@@ -77,9 +79,16 @@ def validated_rounds(
     return int(stopping.best)
 
 
-def folds_of(n_trajectories: int, folds: int, generator: torch.Generator) -> Int64[Tensor, " trajectories"]:
-    """A fold for every trajectory, at random, as even as can be."""
-    order = torch.randperm(n_trajectories, generator=generator)
-    fold_of = torch.empty(n_trajectories, dtype=torch.int64)
-    fold_of[order] = torch.arange(n_trajectories) % max(1, min(folds, n_trajectories))
-    return fold_of
+def folds_of(
+    n_trajectories: int,
+    folds: int,
+    generator: torch.Generator,
+    groups: Int64[Tensor, " trajectories"] | None = None,
+) -> Int64[Tensor, " trajectories"]:
+    """A fold for every trajectory, at random, as even as can be; trajectories of a group share theirs."""
+    groups = torch.arange(n_trajectories) if groups is None else groups.cpu()
+    n_groups = int(groups.max()) + 1
+    order = torch.randperm(n_groups, generator=generator)
+    fold_of = torch.empty(n_groups, dtype=torch.int64)
+    fold_of[order] = torch.arange(n_groups) % max(1, min(folds, n_groups))
+    return fold_of[groups]

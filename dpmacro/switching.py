@@ -86,6 +86,7 @@ def fit_switches(
     shrinkage: float = 0.2,
     folds: int = 5,
     early_stopping: bool = False,
+    groups: Int64[Tensor, " trajectories"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,
 ) -> SwitchFunctions:
     """Fit a switch function for every change of macro-label that the trajectories show.
@@ -101,6 +102,7 @@ def fit_switches(
         folds: parts that trajectories are dealt into by `generator`; each part is scored by a switch function
             that never saw it. The threshold is the middle of the widest range in which most left-out
             segments fire at the first frame of their change and not before.
+        groups: trajectories of the same group fall into the same part, like mirror images; alone by default.
         early_stopping: whether every switch function keeps the rounds with the least loss on left-out parts.
         on_round: called after every round with the balanced loss and accuracy over all of them.
 
@@ -115,13 +117,13 @@ def fit_switches(
     pairs = sorted({(event.macro, event.following) for event in events if event.following is not None})
     if not pairs:
         return SwitchFunctions([], torch.zeros(0), torch.zeros(0), torch.zeros(learner.n_frames, 0), None)
-    fold_of = folds_of(len(lengths), folds, generator)
-    n_fits = int(fold_of.max()) + 2 if len(lengths) > 1 else 1  # the last one sees every trajectory
+    fold_of = folds_of(len(lengths), folds, generator, groups)
+    n_fits = int(fold_of.max()) + 2 if fold_of.any() else 1  # the last one sees every trajectory
     weights, targets = zip(
         *(
-            _examples(pair, events, fold_of, fold, learner.n_frames, window)
+            _examples(pair, events, fold_of == fold, learner.n_frames, window)
             for pair in pairs
-            for fold in range(n_fits)
+            for fold in [*range(n_fits - 1), -1]
         ),
         strict=True,
     )
@@ -185,17 +187,16 @@ def causal_labels(
 def _examples(
     pair: tuple[int, int],
     events: list[Event],
-    fold_of: Int64[Tensor, " trajectories"],
-    left_out: int,
+    left_out: Bool[Tensor, " trajectories"],
     n_frames: int,
     window: int,
 ) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """Base weights, half a side, and targets of a switch function that never sees the fold `left_out`."""
+    """Base weights, half a side, and targets of a switch function that never sees what is left out."""
     weights = torch.zeros(n_frames)
     targets = torch.zeros(n_frames, dtype=torch.bool)
     macro, following = pair
     for event in events:
-        if event.macro != macro or (len(fold_of) > 1 and fold_of[event.trajectory] == left_out):
+        if event.macro != macro or left_out[event.trajectory]:
             continue
         weights[event.start : event.stop] = 1
         if event.following == following:

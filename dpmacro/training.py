@@ -18,9 +18,13 @@ from tqdm import tqdm
 
 from dpmacro import figures
 from dpmacro.boosting import Round
+from dpmacro.columns import Plan, prepare
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
-from dpmacro.features import FeatureSet, Quantiser, make_features, previous_images
+from dpmacro.features import FeatureSet, Quantiser, frames_before, make_features
+from dpmacro.learners import WeakLearner
+from dpmacro.learners.convnet import ConvNetLearner
+from dpmacro.learners.ensemble import InTurn
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
 from dpmacro.metrics import frame_accuracy
@@ -32,8 +36,12 @@ from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
 
 __all__ = ["Trainer", "TrainingResult"]
 
+TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
+REDRAWN = 10  # rounds that a draw of columns serves at least where they are sorted when drawn
+
 STAGES = {  # names on the bars
     "discover": "Segmenting",
+    "validate": "Boosting, some left out",
     "judge": "Judging segmentations",
     "recognise": "Recognising changes",
     "fit": "Boosting",
@@ -48,6 +56,7 @@ class TrainingResult:
     policy: MacroPolicy
     discovery: DPBoostResult
     switches: SwitchFunctions
+    plan: Plan  # how the feature columns were held
     pretrained: Path  # folder to give to eval.py
 
 
@@ -77,51 +86,80 @@ class Trainer:
         """Prepare features, discover macro-actions, fit switch functions, save."""
         planner = self.options.planner
         with SummaryWriter(str(self.folder.tensorboard)) as writer:
-            features, quantiser, data = self._prepare()
+            plan, (features, quantiser, data) = self._prepare()
             monitor = _Monitor(writer, self.demonstrations, self._macros)
             discovery = DPBoost(
                 self._macros,
                 0 if planner.type == "baseline" else planner.max_transitions,
-                planner.rounds,
+                self._rounds(planner.learner, planner.rounds),
+                functools.partial(self._learner, planner.learner, planner.rounds, plan),
                 restarts=planner.restarts,
                 seed=self.options.seed,
                 device=self.options.device,
                 shrinkage=planner.shrinkage,
-            ).fit(data, self.actions, self.lengths, monitor.on_round)
+                early_stopping=planner.early_stopping,
+            ).fit(data, self.actions, self.lengths, monitor.on_round, self._groups)
             switches = fit_switches(
-                StumpLearner(data),
+                self._learner(planner.switch_learner, planner.switch_rounds, plan, data),
                 discovery.labels,
                 self.lengths,
                 torch.Generator().manual_seed(self.options.seed),
                 window=planner.switch_window,
-                rounds=planner.switch_rounds,
+                rounds=self._rounds(planner.switch_learner, planner.switch_rounds),
                 shrinkage=planner.switch_shrinkage,
+                early_stopping=planner.early_stopping,
+                groups=self._groups,
                 on_round=monitor.on_round,
             )
             monitor.close()
             policy = self._policy(features, quantiser, discovery, switches)
             self._report(writer, discovery, switches)
         options = _plain(asdict(self.options))
-        pretrained = self.folder.checkpoint(planner.rounds, policy, options, discovery.labels, self.lengths)
-        return TrainingResult(policy, discovery, switches, pretrained)
+        lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
+        labels = discovery.labels[: int(lengths.sum())]
+        pretrained = self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
+        return TrainingResult(policy, discovery, switches, plan, pretrained)
 
-    def _prepare(self) -> tuple[FeatureSet, Quantiser, SortedLevels]:
-        """Features of every frame, quantised and sorted."""
-        images = torch.from_numpy(self.demonstrations.images).to(self.options.device)
-        previous = previous_images(images, self.lengths)
-        height, width = images.shape[1:3]
-        generator = torch.Generator().manual_seed(self.options.seed)
+    def _prepare(self) -> tuple[Plan, tuple[FeatureSet, Quantiser, SortedLevels]]:
+        """Features of every frame, quantised and, where memory allows, sorted."""
         planner = self.options.planner
+        generator = torch.Generator().manual_seed(self.options.seed)
+        images = self._images
+        n_frames, height, width = images.shape[:3]
         features = make_features(planner.features, height, width, planner.rectangles, generator)
-        with tqdm(desc="Features", total=3, unit="step") as bar:
-            values = features.values(images, previous)
-            bar.update()
-            quantiser = Quantiser.fit(values)
-            levels = quantiser.levels(values)
-            bar.update()
-            data = SortedLevels.build(levels)
-            bar.update()
-        return features, quantiser, data
+        problems = self._macros * (planner.restarts if self._macros > 1 else 1)
+        tables = TABLES * 4 * problems * (int(self.actions.max()) + 1)
+        plan = Plan.fitting(n_frames, images[0].numel(), features.count, tables, planner.memory_limit)
+        with tqdm(desc="Features", total=plan.columns, unit="column") as bar:
+            return plan, prepare(images, self.lengths, features, plan, generator, bar.update)
+
+    @property
+    def _groups(self) -> Int64[Tensor, " trajectories"]:
+        """The number of every trajectory; a mirror image has that of its original."""
+        n_originals = len(self.lengths) - self.demonstrations.mirror_images
+        return torch.arange(len(self.lengths)) % n_originals
+
+    @functools.cached_property
+    def _images(self) -> Tensor:
+        return torch.from_numpy(self.demonstrations.images).to(self.options.device)
+
+    def _rounds(self, kind: str, rounds: int) -> int:
+        """Boosting rounds in all, of which `rounds` are those of stumps."""
+        networks = self.options.planner.convnet.rounds
+        return {"stumps": rounds, "convnet": networks, "mixed": rounds + networks}[kind]
+
+    def _learner(self, kind: str, rounds: int, plan: Plan, data: SortedLevels) -> WeakLearner:
+        """The weak learner of that name; a mixed one turns to networks after `rounds`."""
+        planner = self.options.planner
+        if kind == "stumps":
+            if not plan.drawn:
+                return StumpLearner(data, planner.drawn, planner.reuse)
+            drawn = min(plan.drawn, planner.drawn or plan.drawn)
+            return StumpLearner(data, drawn, max(planner.reuse, REDRAWN))
+        if kind == "convnet":
+            return ConvNetLearner(self._images, frames_before(self.lengths), epochs=planner.convnet.epochs)
+        stumps, networks = (self._learner(part, rounds, plan, data) for part in ("stumps", "convnet"))
+        return InTurn(stumps, rounds, networks)
 
     def _policy(
         self,
@@ -191,6 +229,11 @@ class _Monitor:
             changes = f"segmentation/{report.stage}/label_changes"
             self._writer.add_scalar(changes, report.label_changes, report.number)
         self._writer.add_scalar(f"accuracy/{report.stage}", report.accuracy, report.number)
+        for problem in report.ended:
+            name = "switch function" if report.stage == "switch" else "macro-action"
+            line = f"{name} {problem} ends in round {report.number}: no weak hypothesis beats chance"
+            self._writer.add_text(f"boosting/{report.stage}", line, report.number)
+            tqdm.write(line)
 
     def _log_segmentation(self, stage: str, number: int, labels: Int64[Tensor, " frames"]) -> None:
         lengths = torch.from_numpy(self._demonstrations.lengths)

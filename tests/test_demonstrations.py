@@ -2,6 +2,7 @@ import json
 import shutil
 import socket
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -356,3 +357,60 @@ def test_loading_is_fast(root):
     start = time.process_time()
     assert len(Demonstrations.load(root).actions) == 3000
     assert 3000 / (time.process_time() - start) > 1500
+
+
+def named(recorded, *names):
+    return replace(Demonstrations.load(recorded), action_names=names)
+
+
+def test_mirror_images_follow_with_left_and_right_exchanged(recorded):
+    demonstrations = named(recorded, "forward", "turn_left", "turn_right")
+    both = demonstrations.mirrored()
+    n = len(demonstrations.actions)
+    assert both.lengths.tolist() == 2 * list(LENGTHS)
+    assert both.mirror_images == len(LENGTHS)
+    for before, after in (
+        (demonstrations.images, both.images),
+        (demonstrations.actions, both.actions),
+        (demonstrations.phase, both.phase),
+    ):
+        assert np.array_equal(after[:n], before)
+    assert np.array_equal(both.images[n:], np.flip(demonstrations.images, 2))
+    assert np.array_equal(both.actions[n:], np.array([0, 2, 1])[demonstrations.actions])
+    assert np.array_equal(both.phase[n:], demonstrations.phase)
+    assert both.select([0, len(LENGTHS)]).mirror_images == 0
+
+
+@pytest.mark.parametrize(
+    ("names", "swaps", "swapped"),
+    [
+        (("turnLeft", "stay", "turnRight"), None, [2, 1, 0]),
+        (("Right", "Left", "stay"), None, [1, 0, 2]),
+        (("a", "b", "c"), [[0, 2]], [2, 1, 0]),
+        (("left", "right", "c"), [], [0, 1, 2]),
+    ],
+)
+def test_what_a_mirror_exchanges(recorded, names, swaps, swapped):
+    demonstrations = named(recorded, *names)
+    mirrored = demonstrations.mirrored(swaps).actions[len(demonstrations.actions) :]
+    assert np.array_equal(mirrored, np.array(swapped)[demonstrations.actions])
+
+
+@pytest.mark.parametrize(
+    ("names", "swaps", "message"),
+    [
+        (
+            ("a", "b", "c"),
+            None,
+            r"none .* among 0 \(a\), 1 \(b\), 2 \(c\).*--dataset.mirror_actions='\[\[1,2\]\]'",
+        ),
+        (("left", "b", "c"), None, "'left' has no counterpart"),
+        (("a", "b", "c"), [[0, 3]], r"mirror_actions is \[\[0, 3\]\]"),
+        (("a", "b", "c"), [[0, 1], [1, 2]], "each once"),
+        (("a", "b", "c"), [[0, 1, 2]], "pairs"),
+        (("a", "b", "c"), [[1, 1]], "different"),
+    ],
+)
+def test_a_mirror_that_cannot_be_is_refused(recorded, names, swaps, message):
+    with pytest.raises(ValueError, match=message):
+        named(recorded, *names).mirrored(swaps)

@@ -80,6 +80,31 @@ def test_selection_batches_and_files_change_no_value(images, kind):
         assert torch.equal(quantiser.select(columns).levels(single)[:, 0], levels[columns, n])
 
 
+def test_rectangles_of_a_large_white_picture_are_exact():
+    """Their sums exceed what 24 bits hold."""
+    features = Rectangles(
+        300,
+        400,
+        torch.tensor([[7, 0, 0, 300, 400], [0, 0, 0, 300, 399], [2, 1, 1, 299, 399]], dtype=torch.int32),
+        torch.tensor([[7, 0, 0, 0, 0], [0, 0, 1, 300, 399], [2, 0, 0, 0, 0]], dtype=torch.int32),
+    )
+    image = torch.full((1, 300, 400, 3), 255, dtype=torch.uint8)
+    image[0, 299, 399] = torch.tensor([254, 0, 253])
+    values = features.values(image, image)
+    assert values[:, 0].tolist() == [2 * 253 - 254, 1, 255 * 299 * 399 - 2]
+
+
+@pytest.mark.parametrize("kind", FEATURES)
+def test_no_column_at_all(images, kind):
+    features = make_features(kind, 12, 16, 300, torch.Generator().manual_seed(2))
+    none = torch.zeros(0, dtype=torch.int64)
+    values = features.select(none).values(images, images)
+    quantiser = Quantiser.fit(features.values(images, images)).select(none)
+    assert values.shape == (0, 70)
+    assert quantiser.levels(values).shape == (0, 70)
+    assert Quantiser.fit(values).cuts.shape == (0, LEVELS - 1)
+
+
 @pytest.mark.parametrize("dtype", [torch.int32, torch.float32])
 def test_quantiser_keeps_order_and_uses_all_levels(dtype):
     values = (1000 * torch.randn(3, 5000, generator=torch.Generator().manual_seed(0))).to(dtype)

@@ -9,6 +9,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from dpmacro.features import FEATURES, Quantiser, make_features, previous_images
+from dpmacro.learners import Frames
 from dpmacro.learners.stumps import StumpClassifier
 from dpmacro.policy import MacroPolicy, PolicyConfig
 
@@ -81,7 +82,7 @@ def test_the_highest_switch_above_its_threshold_wins():
     policy, images = random_policy(switches=((0, 1), (0, 2)))
     previous = images[:1]
     levels = policy.quantiser.levels(policy.features.values(images[:1], previous))
-    scores = policy.switcher.scores(levels)[0, :, 0]
+    scores = policy.switcher.scores(Frames(levels))[0, :, 0]
     for thresholds, macro in (
         (scores + 1, 0),
         (scores - torch.tensor([1.0, 2.0]), 2),
@@ -176,11 +177,11 @@ def test_a_config_that_cannot_be_is_named(tmp_path, changes, message):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda tensors: tensors.update({"actor.votes": tensors["actor.votes"][:3]}),
-        lambda tensors: tensors.update({"actor.columns": tensors["actor.columns"] + 10_000}),
+        lambda tensors: tensors.update({"actor.0.stumps.votes": tensors["actor.0.stumps.votes"][:3]}),
+        lambda tensors: tensors["actor.0.stumps.columns"].add_(10_000),
         lambda tensors: tensors.update({"quantiser.cuts": tensors["quantiser.cuts"][:5]}),
-        lambda tensors: tensors.update({"features.first": tensors["features.first"].float()}),
-        lambda tensors: tensors.pop("switcher.votes"),
+        lambda tensors: tensors.update({"features.first": tensors["features.first"][:, :3].contiguous()}),
+        lambda tensors: tensors.pop("switcher.0.stumps.votes"),
     ],
 )
 def test_tensors_that_do_not_fit_one_another_are_named(tmp_path, change):
@@ -199,3 +200,26 @@ def test_tensors_that_do_not_belong_to_the_config_are_named(tmp_path):
     (tmp_path / "config.json").write_text(json.dumps({**values, "switches": [[0, 1]], "thresholds": [0.0]}))
     with pytest.raises(ValueError, match="cannot be read"):
         MacroPolicy.load(tmp_path)
+
+
+def test_one_environment_of_a_batch_starts_anew():
+    policy, images = random_policy()
+    state, seen = policy.initial_state(2), []
+    for t in range(30):
+        if t == 10:
+            state = policy.restart(state, torch.tensor([False, True]))
+        actions, state = policy.act(images[[t, t % 10 + 20 * (t >= 10)]], state)
+        seen.append((actions.tolist(), state.macro.tolist()))
+    for row, parts in enumerate([[range(30)], [range(10), range(20, 30)]]):
+        alone = [pair for part in parts for pair in zip(*run(policy, images[list(part)]), strict=True)]
+        assert [(a[row], m[row]) for a, m in seen][: len(alone)] == alone
+
+
+def test_a_policy_without_a_stump_takes_its_first_action(tmp_path):
+    policy, images = random_policy(switches=())
+    none = torch.zeros(0, 3, dtype=torch.int64)
+    empty = StumpClassifier(none, none.byte(), torch.zeros(0, 3, 2, 3))
+    nothing = MacroPolicy.compact(policy.config, policy.features, policy.quantiser, empty, None)
+    nothing.save(tmp_path)
+    assert nothing.features.count == 0
+    assert set(run(MacroPolicy.load(tmp_path), images)[0]) == {0}

@@ -3,13 +3,15 @@ import os
 import subprocess
 import sys
 import warnings
+from contextlib import nullcontext
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from noise import ACTIONS, LENGTHS, WORLD, random_episodes
 
 from dpmacro.demonstrations import DatasetError, Demonstrations
-from dpmacro.recording import AVATAR, VIEW, DemonstrationWriter
+from dpmacro.recording import AVATAR, VIEW, DemonstrationWriter, _embed_images
 
 
 def open_with_lerobot(root):
@@ -177,3 +179,33 @@ def test_lerobots_editing_tools_work_on_it(recorded, tmp_path):
         assert loaded.select(reverse).lengths.tolist() == [LENGTHS[order[index]] for index in reverse]
         part = Demonstrations.load(home / "local" / name, episodes=[1])
         assert np.array_equal(part.images, episodes[order[1]])
+
+
+def test_embedding_at_once_writes_what_lerobot_writes(recorded, tmp_path, monkeypatch):
+    monkeypatch.setattr("dpmacro.recording._embedding_at_once", nullcontext)
+    root = tmp_path / "one_by_one"
+    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False) as writer:
+        for episode in random_episodes():
+            writer.add_episode(**episode)
+    ours, theirs = (pq.ParquetFile(folder / "data/chunk-000/file-000.parquet") for folder in (recorded, root))
+    assert ours.read().equals(theirs.read())
+    assert ours.schema_arrow.equals(theirs.schema_arrow)
+    assert ours.metadata.num_row_groups == theirs.metadata.num_row_groups
+
+
+@pytest.mark.parametrize("view", [False, True])
+def test_lerobot_embeds_by_the_function_that_is_replaced(recorded, tmp_path, monkeypatch, view):
+    """Where a new LeRobot has it elsewhere, recording is slower, and this says so."""
+    calls = []
+
+    def noted(dataset):
+        calls.append(len(dataset))
+        return _embed_images(dataset)
+
+    monkeypatch.setattr("dpmacro.recording._embed_images", noted)
+    episodes = list(random_episodes((4, 3)))
+    with DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view=view) as writer:
+        for episode in episodes:
+            views = np.zeros((len(episode["actions"]), 64, 96, 3), np.uint8) if view else None
+            writer.add_episode(**episode, views=views)
+    assert calls == [4, 3]

@@ -36,7 +36,7 @@ def validate(noise, rounds=60, on_round=lambda _: None):
     learner, actions, lengths = data(noise)
     labels = torch.zeros_like(actions)
     generator = torch.Generator().manual_seed(0)
-    return validated_rounds(learner, labels, actions, lengths, rounds, 0.5, generator, on_round)
+    return validated_rounds(learner, labels, actions, lengths, rounds, 0.5, generator, on_round=on_round)
 
 
 def test_noise_stops_early_and_reports_every_round():

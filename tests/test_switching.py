@@ -92,6 +92,13 @@ def test_folds_are_even():
     assert folds_of(11, 4, torch.Generator().manual_seed(0)).bincount().tolist() == [3, 3, 3, 2]
 
 
+def test_trajectories_of_a_group_share_their_fold():
+    groups = torch.arange(7).repeat(2)
+    fold_of = folds_of(14, 3, torch.Generator().manual_seed(0), groups)
+    assert torch.equal(fold_of[:7], fold_of[7:])
+    assert fold_of.bincount().tolist() == [6, 4, 4]
+
+
 @pytest.mark.parametrize(("window", "rounds", "message"), [(0, 5, "window is 0"), (3, 0, "rounds 0")])
 def test_bad_arguments_are_named(window, rounds, message):
     learner, labels, lengths = trajectories(n=2)

@@ -13,7 +13,7 @@ from dpmacro.learners.stumps import StumpClassifier
 
 __all__ = ["Ensemble", "InTurn", "classifier_from", "classifier_tensors"]
 
-KINDS: dict[str, type] = {kind.kind: kind for kind in (StumpClassifier,)}
+KINDS: dict[str, type] = {kind.kind: kind for kind in (StumpClassifier, ConvNetClassifier)}
 
 
 @dataclass(frozen=True)

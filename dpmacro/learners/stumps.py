@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 
 import torch
@@ -53,9 +53,18 @@ class StumpClassifier:
 
     def scores(self, frames: Frames) -> Float[Tensor, "frames problems classes"]:
         """f^m(x) of every frame, problem and class."""
-        above = (frames.levels[self.columns] > self.thresholds[..., None]).to(self.votes.dtype)
-        steps = self.votes[:, :, 1] - self.votes[:, :, 0]
-        return self.votes[:, :, 0].sum(0) + torch.einsum("tpn,tpm->npm", above, steps)
+        columns, thresholds, base, steps = self._tables
+        n_problems, n_rounds = steps.shape[:2]
+        levels = frames.levels.index_select(0, columns).view(n_problems, n_rounds, -1)
+        above = (levels > thresholds).to(steps.dtype)
+        return base + torch.bmm(above.transpose(1, 2), steps).transpose(0, 1)
+
+    @cached_property
+    def _tables(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Columns and thresholds by problem, the sum of votes below, the step of the votes at each."""
+        low, high = self.votes.unbind(2)
+        thresholds = self.thresholds.T[..., None].contiguous()
+        return self.columns.T.flatten(), thresholds, low.sum(0), (high - low).transpose(0, 1).contiguous()
 
     def used_columns(self) -> Int64[Tensor, " used"]:
         """The columns that any stump looks at, ascending."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -163,13 +164,15 @@ class Scene:
 
     def view(self, width: int, height: int) -> UInt8[np.ndarray, "height width 3"]:
         """Return what the avatar sees, RGB; the field of view of 60 degrees is the horizontal one."""
-        ahead = np.array([math.cos(self.heading), math.sin(self.heading), 0.0])
-        eye = np.array([*self._eye(ahead[:2]), EYE_HEIGHT])
+        dx, dy = math.cos(self.heading), math.sin(self.heading)
+        x, y = self._eye(np.array([dx, dy])).tolist()
         vertical = 2 * math.atan(math.tan(FIELD_OF_VIEW / 2) * height / width)
         image = pybullet.getCameraImage(
             width,
             height,
-            viewMatrix=pybullet.computeViewMatrix(eye, eye + ahead, (0, 0, 1)),
+            viewMatrix=pybullet.computeViewMatrix(
+                (x, y, EYE_HEIGHT), (x + dx, y + dy, EYE_HEIGHT), (0, 0, 1)
+            ),
             projectionMatrix=pybullet.computeProjectionMatrixFOV(
                 math.degrees(vertical), width / height, _NEAR, _FAR
             ),
@@ -183,7 +186,8 @@ class Scene:
             flags=pybullet.ER_NO_SEGMENTATION_MASK,
             physicsClientId=self._client,
         )[2]
-        return np.ascontiguousarray(np.reshape(image, (height, width, 4))[..., :3], dtype=np.uint8)
+        # Where PyBullet was built without NumPy, the image is a tuple of numbers.
+        return cv2.cvtColor(np.asarray(image, np.uint8).reshape(height, width, 4), cv2.COLOR_RGBA2RGB)
 
     def close(self) -> None:
         """Disconnect from PyBullet; calling it twice does no harm."""
