@@ -76,6 +76,7 @@ class DPBoost:
         seed: of every draw.
         device: where tensors live.
         shrinkage: factor in (0, 1] on every weak hypothesis.
+        fit_shrinkage: likewise in the exact fit, where its learner wants another.
         discovery_rounds: rounds from every initial segmentation.
         warmup: rounds that keep the labels they start from, at most half of a stage: relabelling by barely
             trained classifiers forgets a good start. After it the labels are re-estimated every round.
@@ -96,6 +97,7 @@ class DPBoost:
         device: str | torch.device = "cpu",
         *,
         shrinkage: float = 0.1,
+        fit_shrinkage: float | None = None,
         discovery_rounds: int = 80,
         warmup: int = 30,
         drawn: int = 48,
@@ -121,6 +123,7 @@ class DPBoost:
         self.seed = seed
         self.device = torch.device(device)
         self.shrinkage = shrinkage
+        self.fit_shrinkage = shrinkage if fit_shrinkage is None else fit_shrinkage
         self.discovery_rounds = discovery_rounds
         self.warmup = warmup
         self.drawn = drawn
@@ -162,8 +165,8 @@ class DPBoost:
         learner, rounds = self.learner(data), self.rounds
         if self.early_stopping:
             held = labels[0], task.actions, lengths
-            rounds = validated_rounds(learner, *held, rounds, self.shrinkage, generator, groups, on_round)
-        boosting = self._boosting(learner, task, 1, generator)
+            rounds = validated_rounds(learner, *held, rounds, self.fit_shrinkage, generator, groups, on_round)
+        boosting = self._boosting(learner, task, 1, self.fit_shrinkage, generator)
         fitted = self._alternate(boosting, task, labels, "fit", rounds, on_round)
         return DPBoostResult(
             fitted.labels[0], fitted.loss[:, 0], boosting.strong(), quantiser, candidates, verdicts
@@ -191,10 +194,15 @@ class DPBoost:
         return SortedLevels.build(quantiser.levels(values)), quantiser
 
     def _boosting(
-        self, learner: WeakLearner, task: _Task, restarts: int, generator: torch.Generator
+        self,
+        learner: WeakLearner,
+        task: _Task,
+        restarts: int,
+        shrinkage: float,
+        generator: torch.Generator,
     ) -> Boosting:
         targets = class_targets(task.actions, task.n_actions)
-        return Boosting(learner, targets, restarts * self.macros, self.shrinkage, generator)
+        return Boosting(learner, targets, restarts * self.macros, shrinkage, generator)
 
     def _discover(
         self, data: SortedLevels, task: _Task, generator: torch.Generator, on_round: Callable[[Round], None]
@@ -210,7 +218,7 @@ class DPBoost:
             ]
         )
         learner = StumpLearner(data, drawn=self.drawn)
-        boosting = self._boosting(learner, task, self.restarts, generator)
+        boosting = self._boosting(learner, task, self.restarts, self.shrinkage, generator)
         return self._alternate(boosting, task, initial, "discover", self.discovery_rounds, on_round)
 
     def _alternate(

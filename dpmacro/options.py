@@ -39,15 +39,21 @@ class DatasetOptions:
 class ConvNetOptions:
     """Tiny convolutional networks as weak learners."""
 
-    rounds: int = 20
+    rounds: int = 8
     """Boosting rounds of the networks; with mixed learners they follow those of the stumps."""
-    epochs: int = 2
+    shrinkage: float = 0.5
+    """Factor on every network, above 0 and up to 1; mixed learners keep that of the stumps."""
+    epochs: int = 1
     """Passes over the frames in every round."""
 
     def __post_init__(self) -> None:
         for name in ("rounds", "epochs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"planner.convnet.{name} is {getattr(self, name)}: give 1 or more")
+        if not 0 < self.shrinkage <= 1:
+            raise ValueError(
+                f"planner.convnet.shrinkage is {self.shrinkage}: give a number above 0 and up to 1"
+            )
 
 
 @dataclass(frozen=True)

@@ -97,6 +97,7 @@ class Trainer:
                 seed=self.options.seed,
                 device=self.options.device,
                 shrinkage=planner.shrinkage,
+                fit_shrinkage=self._shrinkage(planner.learner, planner.shrinkage),
                 early_stopping=planner.early_stopping,
             ).fit(data, self.actions, self.lengths, monitor.on_round, self._groups)
             switches = fit_switches(
@@ -106,7 +107,7 @@ class Trainer:
                 torch.Generator().manual_seed(self.options.seed),
                 window=planner.switch_window,
                 rounds=self._rounds(planner.switch_learner, planner.switch_rounds),
-                shrinkage=planner.switch_shrinkage,
+                shrinkage=self._shrinkage(planner.switch_learner, planner.switch_shrinkage),
                 early_stopping=planner.early_stopping,
                 groups=self._groups,
                 on_round=monitor.on_round,
@@ -147,6 +148,9 @@ class Trainer:
         """Boosting rounds in all, of which `rounds` are those of stumps."""
         networks = self.options.planner.convnet.rounds
         return {"stumps": rounds, "convnet": networks, "mixed": rounds + networks}[kind]
+
+    def _shrinkage(self, kind: str, shrinkage: float) -> float:
+        return self.options.planner.convnet.shrinkage if kind == "convnet" else shrinkage
 
     def _learner(self, kind: str, rounds: int, plan: Plan, data: SortedLevels) -> WeakLearner:
         """The weak learner of that name; a mixed one turns to networks after `rounds`."""

@@ -55,7 +55,8 @@ class StumpClassifier:
         """f^m(x) of every frame, problem and class."""
         columns, thresholds, base, steps = self._tables
         n_problems, n_rounds = steps.shape[:2]
-        levels = frames.levels.index_select(0, columns).view(n_problems, n_rounds, -1)
+        shape = n_problems, n_rounds, frames.levels.shape[1]
+        levels = frames.levels.index_select(0, columns).view(shape)
         above = (levels > thresholds).to(steps.dtype)
         return base + torch.bmm(above.transpose(1, 2), steps).transpose(0, 1)
 
