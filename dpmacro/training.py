@@ -81,18 +81,25 @@ class Trainer:
                 f"planner.macros is {self._macros} but {demonstrations.root} has {len(self.actions)} frames: "
                 "ask for fewer"
             )
+        if options.planner.early_stopping and int(self._groups.max()) == 0:
+            raise ValueError(
+                f"planner.early_stopping leaves demonstrations out and {demonstrations.root} has one: "
+                "record more, or leave it off"
+            )
+        self._generator = torch.Generator().manual_seed(options.seed)
+        self._features, self.plan = self._plan()
 
     def train(self) -> TrainingResult:
         """Prepare features, discover macro-actions, fit switch functions, save."""
         planner = self.options.planner
         with SummaryWriter(str(self.folder.tensorboard)) as writer:
-            plan, (features, quantiser, data) = self._prepare()
+            features, quantiser, data = self._prepare()
             monitor = _Monitor(writer, self.demonstrations, self._macros)
             discovery = DPBoost(
                 self._macros,
                 0 if planner.type == "baseline" else planner.max_transitions,
                 self._rounds(planner.learner, planner.rounds),
-                functools.partial(self._learner, planner.learner, planner.rounds, plan),
+                functools.partial(self._learner, planner.learner, planner.rounds),
                 restarts=planner.restarts,
                 seed=self.options.seed,
                 device=self.options.device,
@@ -101,7 +108,7 @@ class Trainer:
                 early_stopping=planner.early_stopping,
             ).fit(data, self.actions, self.lengths, monitor.on_round, self._groups)
             switches = fit_switches(
-                self._learner(planner.switch_learner, planner.switch_rounds, plan, data),
+                self._learner(planner.switch_learner, planner.switch_rounds, data),
                 discovery.labels,
                 self.lengths,
                 torch.Generator().manual_seed(self.options.seed),
@@ -119,20 +126,23 @@ class Trainer:
         lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
         labels = discovery.labels[: int(lengths.sum())]
         pretrained = self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
-        return TrainingResult(policy, discovery, switches, plan, pretrained)
+        return TrainingResult(policy, discovery, switches, self.plan, pretrained)
 
-    def _prepare(self) -> tuple[Plan, tuple[FeatureSet, Quantiser, SortedLevels]]:
-        """Features of every frame, quantised and, where memory allows, sorted."""
+    def _plan(self) -> tuple[FeatureSet, Plan]:
+        """The feature set, and how its columns are held."""
         planner = self.options.planner
-        generator = torch.Generator().manual_seed(self.options.seed)
-        images = self._images
-        n_frames, height, width = images.shape[:3]
-        features = make_features(planner.features, height, width, planner.rectangles, generator)
+        n_frames, height, width = self.demonstrations.images.shape[:3]
+        features = make_features(planner.features, height, width, planner.rectangles, self._generator)
         problems = self._macros * (planner.restarts if self._macros > 1 else 1)
         tables = TABLES * 4 * problems * (int(self.actions.max()) + 1)
-        plan = Plan.fitting(n_frames, images[0].numel(), features.count, tables, planner.memory_limit)
-        with tqdm(desc="Features", total=plan.columns, unit="column") as bar:
-            return plan, prepare(images, self.lengths, features, plan, generator, bar.update)
+        image_bytes = self.demonstrations.images[0].size
+        return features, Plan.fitting(n_frames, image_bytes, features.count, tables, planner.memory_limit)
+
+    def _prepare(self) -> tuple[FeatureSet, Quantiser, SortedLevels]:
+        """Features of every frame, quantised and, where memory allows, sorted."""
+        with tqdm(desc="Features", total=self.plan.columns, unit="column") as bar:
+            parts = self._images, self.lengths, self._features, self.plan, self._generator
+            return prepare(*parts, bar.update)
 
     @property
     def _groups(self) -> Int64[Tensor, " trajectories"]:
@@ -152,17 +162,17 @@ class Trainer:
     def _shrinkage(self, kind: str, shrinkage: float) -> float:
         return self.options.planner.convnet.shrinkage if kind == "convnet" else shrinkage
 
-    def _learner(self, kind: str, rounds: int, plan: Plan, data: SortedLevels) -> WeakLearner:
+    def _learner(self, kind: str, rounds: int, data: SortedLevels) -> WeakLearner:
         """The weak learner of that name; a mixed one turns to networks after `rounds`."""
         planner = self.options.planner
         if kind == "stumps":
-            if not plan.drawn:
+            if not self.plan.drawn:
                 return StumpLearner(data, planner.drawn, planner.reuse)
-            drawn = min(plan.drawn, planner.drawn or plan.drawn)
+            drawn = min(self.plan.drawn, planner.drawn or self.plan.drawn)
             return StumpLearner(data, drawn, max(planner.reuse, REDRAWN))
         if kind == "convnet":
             return ConvNetLearner(self._images, frames_before(self.lengths), epochs=planner.convnet.epochs)
-        stumps, networks = (self._learner(part, rounds, plan, data) for part in ("stumps", "convnet"))
+        stumps, networks = (self._learner(part, rounds, data) for part in ("stumps", "convnet"))
         return InTurn(stumps, rounds, networks)
 
     def _policy(

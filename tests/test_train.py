@@ -14,10 +14,12 @@ from test_demonstrations import SPOILED, root  # noqa: F401  a fixture
 
 import train
 from dpmacro import cli
+from dpmacro.columns import GIB
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.features import previous_images
 from dpmacro.options import TrainOptions
 from dpmacro.policy import MacroPolicy
+from dpmacro.training import TABLES
 
 SMALL = [
     "--planner.rounds=12",
@@ -116,6 +118,44 @@ def test_the_baseline_is_one_classifier_without_switches(recorded, tmp_path, mon
     assert (policy.config.type, policy.config.macros, policy.config.switches) == ("baseline", 1, ())
 
 
+WAYS = {
+    "convnets": (["--planner.learner=convnet", "--planner.switch_learner=convnet"], {"convnet"}),
+    "stumps first": (["--planner.learner=mixed"], {"stumps", "convnet"}),
+    "few columns a round": (["--planner.drawn=20", "--planner.reuse=3"], {"stumps"}),
+    "early stopping": (["--planner.early_stopping=true"], {"stumps"}),
+}
+
+
+@pytest.mark.parametrize("case", WAYS)
+def test_every_way_to_boost_leaves_a_policy_of_its_kind(recorded, tmp_path, monkeypatch, capsys, case):
+    options, kinds = WAYS[case]
+    options = [*options, "--planner.convnet.rounds=2", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    pretrained = tmp_path / "run/checkpoints/last/pretrained_model"
+    names = {name.split(".")[2] for name in load_file(pretrained / "model.safetensors") if "actor" in name}
+    assert names == kinds
+    assert MacroPolicy.load(pretrained).config.macros == 2
+    assert "all sorted" in capsys.readouterr().out
+
+
+def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("dpmacro.columns.LIBRARIES", 0)
+    monkeypatch.setattr("dpmacro.columns.LEAST_COLUMNS", 20)
+    frames, height, width, _ = Demonstrations.load(recorded).images.shape
+    tables = TABLES * 4 * 2 * 4 * 3  # 2 macro-actions in 4 restarts, 3 actions
+    limit = frames * (3 * height * width + tables + 150 + 4 * 100) / GIB
+    options = [f"--planner.memory_limit={limit:.9f}", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    assert re.search(r"columns +150, \d+ drawn at a time", capsys.readouterr().out)
+
+
+def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monkeypatch):
+    options = ["--dataset.mirror=true", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    state = load_file(tmp_path / "run/checkpoints/last/training_state/segmentation.safetensors")
+    assert state["lengths"].tolist() == [12, 7, 2, 9] and len(state["labels"]) == 30
+
+
 MISTAKES = {
     "no root": ([], "give --dataset.root="),
     "missing dataset": (["--dataset.root={tmp}/nowhere"], "nowhere"),
@@ -132,6 +172,24 @@ MISTAKES = {
     "no device": (["--dataset.root={data}", "--device=cuda:99"], "give --device=cpu"),
     "negative seed": (["--dataset.root={data}", "--seed=-1"], "seed is -1"),
     "shrinkage": (["--dataset.root={data}", "--planner.shrinkage=0"], "planner.shrinkage is 0"),
+    "unknown learner": (["--dataset.root={data}", "--planner.learner=forest"], "planner.learner is 'forest'"),
+    "no rounds of networks": (
+        ["--dataset.root={data}", "--planner.convnet.rounds=0"],
+        r"planner\.convnet\.rounds is 0",
+    ),
+    "no memory": (
+        ["--dataset.root={data}", "--planner.memory_limit=0.1", "--output_dir={tmp}/run"],
+        r"memory_limit is 0\.1 GiB: 30 frames need 0\.65",
+    ),
+    "nothing to leave out": (
+        [
+            "--dataset.root={data}",
+            "--dataset.episodes=[0]",
+            "--planner.early_stopping=true",
+            "--output_dir={tmp}/run",
+        ],
+        "early_stopping leaves demonstrations out",
+    ),
     "existing folder": (["--dataset.root={data}", "--output_dir={data}"], "choose another --output_dir"),
 }
 
