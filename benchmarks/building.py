@@ -7,7 +7,8 @@ import torch
 from matrices import SIZES, Matrix, planted
 
 from dpmacro.demonstrations import Demonstrations
-from dpmacro.features import Quantiser, make_features, previous_images
+from dpmacro.features import make_features, previous_images
+from dpmacro.quantising import Quantiser
 
 __all__ = ["build", "recorded"]
 

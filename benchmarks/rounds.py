@@ -75,10 +75,10 @@ def rows_to_accuracy(plan: Plan) -> Iterator[Row]:
         peer = plan.attempt(function, **arguments, **options)
         if peer is None:
             continue
+        seconds = peer["binning"] + sum(peer["seconds"])
         for option in plan.learners:
-            ours = plan.attempt(
-                "stumps.ours_until", matrix=matrix, option=option, target=peer["accuracy"], most=most
-            )
+            goal = {"target": peer["accuracy"], "most": most, "limit": seconds}
+            ours = plan.attempt("stumps.ours_until", matrix=matrix, option=option, **goal)
             if ours is None:
                 continue
             ends = "" if ours["reached"] else f", not reached in {ours['seconds']:.0f} s"
@@ -88,7 +88,7 @@ def rows_to_accuracy(plan: Plan) -> Iterator[Row]:
                 case_of,
                 ours["seconds"] if ours["reached"] else None,
                 f"LightGBM, {rounds} rounds",
-                peer["binning"] + sum(peer["seconds"]),
+                seconds,
                 accuracy=ours["accuracy"],
                 peer_accuracy=peer["accuracy"],
                 training_accuracy=ours["training_accuracy"],

@@ -12,9 +12,10 @@ from measure import peak_gib
 from torch import Tensor
 
 from dpmacro.boosting import Boosting, class_targets
-from dpmacro.features import Quantiser
 from dpmacro.learners import Frames, WeakLearner
-from dpmacro.learners.stumps import SortedLevels, StumpClassifier, StumpLearner
+from dpmacro.learners.sorting import SortedLevels
+from dpmacro.learners.stumps import StumpClassifier, StumpLearner
+from dpmacro.quantising import Quantiser
 
 __all__ = ["EXACT", "OPTIONS", "Option", "as_levels", "ours", "ours_until"]
 
@@ -35,7 +36,7 @@ class Option:
 OPTIONS = {
     EXACT: Option(lambda levels: StumpLearner(SortedLevels.build(levels))),
     "reuse=5": Option(lambda levels: StumpLearner(SortedLevels.build(levels), reuse=5), period=5),
-    "drawn=512": Option(lambda levels: StumpLearner(_unsorted(levels), drawn=512)),
+    "drawn=512": Option(lambda levels: StumpLearner(SortedLevels.unsorted(levels), drawn=512)),
 }
 
 
@@ -70,11 +71,11 @@ def ours(matrix: str, option: str, rounds: int) -> dict[str, Any]:
     }
 
 
-def ours_until(matrix: str, option: str, target: float, most: int) -> dict[str, Any]:
+def ours_until(matrix: str, option: str, target: float, most: int, limit: float) -> dict[str, Any]:
     """Seconds from the uint8 matrix to the first round whose held-out accuracy is `target` or more.
 
     Quantising, sorting and the rounds are timed; looking at held-out frames is not. `reached` is False where
-    `most` rounds do not get there; `accuracy` is then the best of them.
+    `most` rounds, or those of `limit` seconds, do not get there; `accuracy` is then the best of them.
     """
     data = Matrix.load(matrix)
     actions = torch.from_numpy(np.array(data.actions))
@@ -88,7 +89,7 @@ def ours_until(matrix: str, option: str, target: float, most: int) -> dict[str, 
     base = torch.ones(len(actions), 1)
     best = 0.0
     number = 0
-    while best < target and number < most:
+    while best < target and number < most and total < limit:
         clock = time.perf_counter()
         boosting.round(base)
         total += time.perf_counter() - clock
@@ -126,10 +127,6 @@ class _HeldOut:
         added = StumpClassifier(strong.columns[only], strong.thresholds[only], strong.votes[only])
         self.scores += added.scores(Frames(self.levels))[:, 0]
         return _share(self.scores, self.actions)
-
-
-def _unsorted(levels: Tensor) -> SortedLevels:
-    return SortedLevels.build(levels, torch.arange(0))
 
 
 def _boosting(learner: WeakLearner, actions: Tensor, n_classes: int) -> Boosting:

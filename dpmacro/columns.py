@@ -12,8 +12,9 @@ import torch
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
-from dpmacro.features import FeatureSet, Quantiser, frames_before
+from dpmacro.features import FeatureSet, frames_before
 from dpmacro.learners.sorting import SortedLevels
+from dpmacro.quantising import Quantiser
 
 __all__ = ["Plan", "prepare"]
 

@@ -17,11 +17,11 @@ from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
 from dpmacro.boosting import Boosting, Round, class_targets
-from dpmacro.features import Quantiser
 from dpmacro.initial import feature_peaks, random_cuts
 from dpmacro.learners import Frames, StrongClassifier, WeakLearner
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
+from dpmacro.quantising import Quantiser
 from dpmacro.segmentation import segment
 from dpmacro.selection import Verdict, best_verdict, distinct, judge
 from dpmacro.stopping import validated_rounds

@@ -1,8 +1,7 @@
-"""Frames to quantised feature columns; the very same code serves training and acting.
+"""Frames to feature columns; the very same code serves training and acting.
 
 Every feature is an integer sum over the eight channels of a frame and the frame before it, so a value
-is exact: it does not depend on the batch, the device or the order of summation. Columns are quantised to
-256 levels by cuts that the training frames choose.
+is exact: it does not depend on the batch, the device or the order of summation.
 """
 
 import itertools
@@ -10,17 +9,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
-import numpy as np
 import torch
-from jaxtyping import Int32, Int64, Num, UInt8
+from jaxtyping import Int32, Int64, UInt8
 from torch import Tensor
 
 __all__ = [
     "FEATURES",
-    "LEVELS",
     "FeatureSet",
     "Pixels",
-    "Quantiser",
     "Rectangles",
     "features_from",
     "frames_before",
@@ -28,10 +24,7 @@ __all__ = [
     "previous_images",
 ]
 
-LEVELS = 256
 CHUNK_FRAMES = 64  # so many frames' integral images stay in the cache
-CHUNK_COLUMNS = 256
-CHUNK_SEARCHES = 2**19  # values whose levels are searched together
 # The channels of rectangles in terms of R, G, B of the image and R, G, B of the one before it.
 CHANNELS = torch.tensor(
     [
@@ -251,68 +244,6 @@ def _integral_images(images: Tensor, previous: Tensor, dtype: torch.dtype) -> Te
         for before, line in itertools.pairwise(lines):  # `cumsum` walks across the rows, ten times slower
             line += before
     return sums.flatten(0, 2)
-
-
-@dataclass(frozen=True)
-class Quantiser:
-    """255 cuts per column that turn a value into a level: the number of cuts that are not above it."""
-
-    cuts: Num[Tensor, "columns 255"]  # ascending
-
-    @classmethod
-    def fit(cls, values: Num[Tensor, "columns frames"]) -> "Quantiser":
-        """Cuts from training values: half at even ranks, half at even distances between the extremes.
-
-        Ranks spend levels where the values are; distances keep rare, extreme ones apart (a distant flag
-        fills few frames).
-        """
-        n_frames, half = values.shape[1], LEVELS // 2
-        steps = torch.arange(1, half + 1, device=values.device)
-        cuts = []
-        for chunk in values.split(CHUNK_COLUMNS):
-            ordered = _sorted(chunk)
-            low, high = ordered[:, :1].double(), ordered[:, -1:].double()
-            even = low + (high - low) * steps / half
-            even = even if values.is_floating_point() else even.ceil()
-            cuts.append(
-                torch.cat([ordered[:, steps[:-1] * n_frames // half], even.to(values.dtype)], 1)
-                .sort(1)
-                .values
-            )
-        return cls(torch.cat(cuts))
-
-    def levels(self, values: Num[Tensor, "columns frames"]) -> UInt8[Tensor, "columns frames"]:
-        """The level 0..255 of every value."""
-        if values.shape[1] == 1:  # one operation for the frame that an environment waits for
-            return torch.searchsorted(self.cuts, values, right=True, out_int32=True).to(torch.uint8)
-        result = torch.empty(values.shape, dtype=torch.uint8, device=values.device)
-        columns = max(1, CHUNK_SEARCHES // max(1, values.shape[1]))
-        for start in range(0, len(values), columns):
-            chunk = slice(start, start + columns)
-            result[chunk] = _count_not_above(self.cuts[chunk], values[chunk])
-        return result
-
-    def select(self, columns: Int64[Tensor, " selected"]) -> "Quantiser":
-        """Just these columns, in this order."""
-        return Quantiser(self.cuts[columns.to(self.cuts.device)])
-
-
-def _sorted(rows: Tensor) -> Tensor:
-    """Every row ascending; NumPy sorts 20 times faster than PyTorch, which sorts indices along."""
-    if rows.device.type == "cpu":
-        return torch.from_numpy(np.sort(rows.numpy(), axis=1))
-    return rows.sort(1).values
-
-
-def _count_not_above(cuts: Tensor, values: Tensor) -> Tensor:
-    """For every value the number of its row's 255 ascending cuts that are not above it.
-
-    All binary searches take their eight steps together; `searchsorted` mispredicts a branch at most of them.
-    """
-    found = 128 * (cuts[:, 127:128] <= values).long()
-    for step in (64, 32, 16, 8, 4, 2, 1):
-        found.add_(cuts.gather(1, found + (step - 1)) <= values, alpha=step)
-    return found
 
 
 FEATURES = {"rectangles": Rectangles, "pixels": Pixels}

@@ -15,10 +15,11 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from dpmacro.features import FEATURES, FeatureSet, Quantiser, features_from
+from dpmacro.features import FEATURES, FeatureSet, features_from
 from dpmacro.files import replacing
 from dpmacro.learners import Frames, StrongClassifier
 from dpmacro.learners.ensemble import classifier_from, classifier_tensors
+from dpmacro.quantising import Quantiser
 
 __all__ = ["MacroPlanner", "MacroPolicy", "PolicyConfig", "PolicyState"]
 

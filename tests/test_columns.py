@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from dpmacro import columns
 from dpmacro.columns import GIB, LEAST_COLUMNS, LIBRARIES, Plan, prepare
-from dpmacro.features import Quantiser, make_features, previous_images
+from dpmacro.features import make_features, previous_images
 from dpmacro.learners.sorting import SortedLevels
+from dpmacro.quantising import Quantiser
 
 
 def test_the_sizes_of_the_goal():

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from dpmacro.discovery import DPBoost
-from dpmacro.features import Quantiser
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.metrics import frame_accuracy
+from dpmacro.quantising import Quantiser
 from dpmacro.segmentation import transition_counts
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]

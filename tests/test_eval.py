@@ -13,10 +13,11 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dpmacro import cli
-from dpmacro.features import Pixels, Quantiser
+from dpmacro.features import Pixels
 from dpmacro.learners.stumps import StumpClassifier
 from dpmacro.metrics import wilson_interval
 from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.quantising import Quantiser
 from dpmacro.rollouts import OUTCOMES
 from dpmacro.worlds.two_flags import ACTIONS
 

@@ -6,14 +6,13 @@ import torch
 
 from dpmacro.features import (
     FEATURES,
-    LEVELS,
     Pixels,
-    Quantiser,
     Rectangles,
     features_from,
     make_features,
     previous_images,
 )
+from dpmacro.quantising import LEVELS, Quantiser
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 MODULES = sorted((REPOSITORY / "dpmacro").rglob("*.py"))
-KNOW_NOBODY = ("worlds", "features", "segmentation", "learners", "metrics")
+KNOW_NOBODY = ("worlds", "features", "quantising", "segmentation", "learners", "metrics")
 SCRIPTS = ("train", "eval", "record", "annotate")
 
 

@@ -8,10 +8,11 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from dpmacro.features import FEATURES, Quantiser, make_features, previous_images
+from dpmacro.features import FEATURES, make_features, previous_images
 from dpmacro.learners import Frames
 from dpmacro.learners.stumps import StumpClassifier
 from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.quantising import Quantiser
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SHAPE = (12, 16)

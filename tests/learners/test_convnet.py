@@ -5,12 +5,13 @@ import torch
 from safetensors.torch import load, save
 
 from dpmacro.boosting import Boosting, class_targets
-from dpmacro.features import Pixels, Quantiser
+from dpmacro.features import Pixels
 from dpmacro.learners import Frames, StrongClassifier, WeakLearner
 from dpmacro.learners.convnet import BOUND, ConvNetClassifier, ConvNetLearner, reduced
 from dpmacro.learners.ensemble import Ensemble, InTurn, classifier_from, classifier_tensors
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
+from dpmacro.quantising import Quantiser
 from dpmacro.switching import fit_switches
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
