@@ -25,6 +25,7 @@ from dpmacro.learners.convnet import ConvNetLearner
 from dpmacro.learners.ensemble import InTurn
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
+from dpmacro.monitor import Monitor
 from dpmacro.options import TrainOptions
 from dpmacro.policy import MacroPolicy, PolicyConfig
 from dpmacro.quantising import Quantiser
