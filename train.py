@@ -49,7 +49,7 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     plan = result.plan
     searched = f"{plan.drawn} drawn at a time" if plan.drawn else "all sorted"
     lines += [
-        f"columns      {plan.columns}, {searched}, about {plan.gibibytes:.1f} GiB at most",
+        f"columns      {plan.columns} of {plan.of}, {searched}, about {plan.gibibytes:.1f} GiB at most",
         f"time         {seconds:.1f} s",
         f"policy       {result.pretrained}",
         f"pictures     {folder.figures}",

@@ -32,7 +32,7 @@ class Plan:
     @property
     def rounds(self) -> int:
         """Boosting rounds where rounds are timed one by one, the first of them a warm-up."""
-        return 4 * self.repeats
+        return 6 * self.repeats
 
     def attempt(self, function: str, **arguments: Any) -> dict[str, Any] | None:
         """The measurement, or None and a line on stderr where it cannot be had."""

@@ -50,7 +50,7 @@ def main(options: PruningOptions) -> None:
         generator = torch.Generator().manual_seed(0)
         features = make_features(kind, *images.shape[1:3], options.columns, generator)
         columns = min(options.columns, features.count)
-        _, _, data = prepare(images, lengths, features, Plan(columns, 0, 0.0), generator)
+        _, _, data = prepare(images, lengths, features, Plan(columns, features.count, 0, 0.0), generator)
         for number, line in rows(data, actions, options.shrinkage, generator):
             print(f"{kind:<11} {number:>5} {line}", flush=True)
 

@@ -17,6 +17,7 @@ from dpmacro.learners import StrongClassifier, WeakLearner
 __all__ = ["MARGIN_LIMIT", "Boosting", "Round", "class_targets", "exponentials_of"]
 
 CHANCE = 1e-6  # relative; a round that lowers the loss by less is no better than chance
+TRIES = 3  # rounds in a row without success: columns are drawn and networks start at random
 MARGIN_LIMIT = 18.0  # exp(18) = 6.6e7: prefix sums of such costs keep 1e-5 in float64
 
 
@@ -24,7 +25,7 @@ MARGIN_LIMIT = 18.0  # exp(18) = 6.6e7: prefix sums of such costs keep 1e-5 in f
 class Round:
     """What a boosting round reports to whoever watches."""
 
-    stage: str  # discover | judge | recognise | fit | switch
+    stage: str  # discover | judge | recognise | validate | fit | switch
     number: int  # from 1
     total: int
     loss: float  # exponential loss per frame; of the best restart while discovering
@@ -33,7 +34,7 @@ class Round:
         Int64[Tensor, " frames"] | None
     )  # macro-labels, likewise; None where there is not one segmentation
     label_changes: float = 0.0  # share of frames whose macro-label this round changed
-    ended: tuple[int, ...] = ()  # problems for which this round found nothing better than chance
+    ended: tuple[int, ...] = ()  # macro-actions or switch functions that found nothing better than chance
 
 
 class Boosting:
@@ -47,7 +48,7 @@ class Boosting:
         generator: the randomness of the learner.
 
     With base weights held still the loss never rises: a weak hypothesis that does not lower it is no better
-    than chance, is left out, and ends its problem.
+    than chance and is left out. A problem to which that happens `TRIES` times in a row has ended.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class Boosting:
         self.ended: Bool[Tensor, " problems"] = torch.zeros(
             n_problems, dtype=torch.bool, device=learner.device
         )
+        self._failures = torch.zeros(shape[1], dtype=torch.int64, device=learner.device)
         self._exponentials = torch.ones(shape, device=learner.device)
         self._rounds: list = []
         self._steps: list[Tensor] = []
@@ -77,24 +79,29 @@ class Boosting:
     def round(self, base: Float[Tensor, "frames problems"]) -> Int64[Tensor, " ended"]:
         """Add one weak hypothesis to every problem, fitted to its base weights times the losses so far.
 
-        Returns the problems that end in this round. Raises ValueError where weights are not finite.
+        Returns the problems that end in this round. Raises ValueError for weights that are negative or NaN,
+        and for those whose sum overflows.
         """
-        weights = base[:, :, None] * self._exponentials
+        if not bool((base >= 0).all()):
+            raise ValueError(f"a base weight is {float(base.min())}: weights must be 0 or more")
+        weights = (base * ~self.ended)[:, :, None] * self._exponentials
         before = weights.sum((0, 2), dtype=torch.float64)
         hypotheses, self._memory = self.learner.fit(weights, self.targets, self.generator, self._memory)
         steps = self.shrinkage * (~self.ended).to(weights.dtype)
         scores = self.scores + steps[:, None] * self.learner.outputs(hypotheses)
         exponentials = exponentials_of(scores, self.targets)
         after = (base[:, :, None] * exponentials).sum((0, 2), dtype=torch.float64)
-        chance = (before > 0) & ~(after <= before * (1 - CHANCE)) & ~self.ended
+        chance = (before > 0) & ~(after <= before * (1 - CHANCE))
+        self._failures = torch.where(chance, self._failures + 1, 0)
         if bool(chance.any()):
             steps[chance] = 0
             scores[:, chance], exponentials[:, chance] = self.scores[:, chance], self._exponentials[:, chance]
-            self.ended = self.ended | chance
+        ending = (self._failures == TRIES) & ~self.ended
+        self.ended = self.ended | ending
         self.scores, self._exponentials = scores, exponentials
         self._rounds.append(hypotheses)
         self._steps.append(steps)
-        return chance.nonzero()[:, 0]
+        return ending.nonzero()[:, 0]
 
     def losses(self) -> Float[Tensor, "frames problems"]:
         """sum_m exp(-y^m f^m(x)) of every frame and problem: the cost of holding the frame."""

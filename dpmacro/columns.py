@@ -22,7 +22,7 @@ GIB = 2**30
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
 VALUES = 2**26  # integers that are quantised at a time
 SAMPLED = 20_000  # frames that choose the cuts, evenly spaced, where there are more
-LEAST_COLUMNS = 64
+LEAST_COLUMNS = 512  # as many as judging a segmentation searches
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,13 @@ class Plan:
 
     Attributes:
         columns: how many of the feature set are kept.
+        of: how many the feature set has.
         drawn: how many of them a boosting round searches at most; 0 for all, held sorted.
         gibibytes: estimate of the most memory that training takes.
     """
 
     columns: int
+    of: int
     drawn: int
     gibibytes: float
 
@@ -43,7 +45,7 @@ class Plan:
     def fitting(
         cls, n_frames: int, image_bytes: int, n_columns: int, table_bytes: int, limit: float
     ) -> "Plan":
-        """The richest plan within `limit` GiB.
+        """The richest plan within `limit` GiB: first all columns sorted, then all columns, then most of them.
 
         Args:
             n_frames: of all demonstrations.
@@ -54,24 +56,26 @@ class Plan:
         Raises ValueError with the least limit where there is no room for `LEAST_COLUMNS` columns.
         """
         fixed = LIBRARIES + n_frames * image_bytes
+        sampled = 2 * min(n_frames, SAMPLED) * image_bytes
+        quantising = sampled + 4 * min(VALUES, n_columns * n_frames)
         boosting = n_frames * table_bytes
 
         def most(columns: int, drawn: int) -> float:
-            quantising = 4 * min(VALUES, n_columns * n_frames)
             return (fixed + columns * n_frames + max(quantising, boosting + 4 * drawn * n_frames)) / GIB
 
         if most(n_columns, n_columns) <= limit:
-            return cls(n_columns, 0, most(n_columns, n_columns))
-        columns, least = n_columns, min(LEAST_COLUMNS, n_columns)
-        while most(columns, least) > limit and columns > least:
-            columns = max(columns // 2, least)
-        if most(columns, least) > limit:
+            return cls(n_columns, n_columns, 0, most(n_columns, n_columns))
+        least = min(LEAST_COLUMNS, n_columns)
+        if most(least, least) > limit:
             raise ValueError(
                 f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at least"
             )
-        room = limit * GIB - fixed - boosting - columns * n_frames
-        drawn = max(least, min(int(room / (4 * n_frames)), columns))
-        return cls(columns, drawn, most(columns, drawn))
+        room = limit * GIB - fixed
+        kept = int((room - max(quantising, boosting + 4 * least * n_frames)) / n_frames)
+        columns = min(max(kept, least), n_columns)
+        drawn = int((room - boosting - columns * n_frames) / (4 * n_frames))
+        drawn = min(max(drawn, least), columns)
+        return cls(columns, n_columns, drawn, most(columns, drawn))
 
 
 def prepare(
@@ -93,11 +97,12 @@ def prepare(
     before = frames_before(lengths.to(images.device))
     n_frames = len(images)
     sample = torch.linspace(0, n_frames - 1, min(n_frames, SAMPLED), device=images.device).round().long()
+    sampled, sampled_before = (images if len(sample) == n_frames else images[sample]), images[before[sample]]
     levels = torch.empty(features.count, n_frames, dtype=torch.uint8, device=images.device)
     cuts = []
     for numbers in torch.arange(features.count).split(max(VALUES // len(sample), 1)):
         part = features.select(numbers)
-        values = part.values(images[sample], images[before[sample]])
+        values = part.values(sampled, sampled_before)
         quantiser = Quantiser.fit(values)
         cuts.append(quantiser.cuts)
         rows = slice(int(numbers[0]), int(numbers[-1]) + 1)
@@ -105,9 +110,11 @@ def prepare(
             levels[rows] = quantiser.levels(values)
         else:
             for frames in torch.arange(n_frames, device=images.device).split(max(VALUES // len(numbers), 1)):
+                del values  # before the next ones need as much
                 values = part.values(images[frames], images[before[frames]])
                 levels[rows, frames[0] : frames[-1] + 1] = quantiser.levels(values)
-        del values  # before the next part needs as much
+        del values
         on_columns(len(numbers))
+    del sampled, sampled_before
     data = SortedLevels.unsorted(levels) if plan.drawn else SortedLevels.build(levels)
     return features, Quantiser(torch.cat(cuts)), data

@@ -121,7 +121,7 @@ class DPBoost:
         self.learner = learner
         self.restarts = restarts
         self.seed = seed
-        self.device = torch.device(device)
+        self.device = torch.empty(0, device=device).device  # "cuda" becomes the card that it means
         self.shrinkage = shrinkage
         self.fit_shrinkage = shrinkage if fit_shrinkage is None else fit_shrinkage
         self.discovery_rounds = discovery_rounds
@@ -255,7 +255,7 @@ class DPBoost:
             held_by = best * self.macros + labels[best]
             chosen = boosting.scores[torch.arange(n_frames, device=self.device), held_by].argmax(1)
             accuracy = float((chosen == task.actions).float().mean())
-            over = tuple(int(k) % self.macros for k in ended if int(k) // self.macros == best)
+            over = tuple(ended.tolist()) if restarts == 1 else ()
             now = float(loss[-1][best]), accuracy, labels[best], float(changed[best])
             on_round(Round(stage, number, rounds, *now, ended=over))
             if bool(boosting.ended.all()):

@@ -1,6 +1,7 @@
 """What a training shows while it runs: a progress bar for every stage, and TensorBoard scalars."""
 
 import functools
+import sys
 import time
 
 import torch
@@ -46,9 +47,10 @@ class Monitor:
         self._writer.add_scalar(f"accuracy/{report.stage}", report.accuracy, report.number)
         for problem in report.ended:
             name = "switch function" if report.stage == "switch" else "macro-action"
-            line = f"{name} {problem} ends in round {report.number}: no weak hypothesis beats chance"
+            stage = STAGES[report.stage]
+            line = f"{stage}: {name} {problem} ends in round {report.number}, nothing beats chance"
             self._writer.add_text(f"boosting/{report.stage}", line, report.number)
-            tqdm.write(line)
+            tqdm.write(line, file=sys.stderr)
 
     def _log_segmentation(self, stage: str, number: int, labels: Int64[Tensor, " frames"]) -> None:
         lengths = torch.from_numpy(self._demonstrations.lengths)

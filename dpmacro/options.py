@@ -81,9 +81,9 @@ class PlannerOptions:
     drawn: int = 0
     """Random columns that a round of stumps searches instead of all, faster and not exact; 0 for all."""
     reuse: int = 1
-    """Rounds that a search over all columns serves: those after it search its best ones alone, faster."""
-    memory_limit: float = 4.0
-    """GiB that training may take; where all columns do not fit, a round searches those that do."""
+    """Rounds that a search serves: those after it search its best columns alone, or its draw, faster."""
+    memory_limit: float = 6.0
+    """GiB that training may take; where sorted columns do not fit, a round searches some of them."""
     early_stopping: bool = False
     """Whether left-out trajectories decide how many of the rounds are kept."""
     convnet: ConvNetOptions = field(default_factory=ConvNetOptions)

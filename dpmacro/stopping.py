@@ -86,7 +86,7 @@ def folds_of(
     groups: Int64[Tensor, " trajectories"] | None = None,
 ) -> Int64[Tensor, " trajectories"]:
     """A fold for every trajectory, at random, as even as can be; trajectories of a group share theirs."""
-    groups = torch.arange(n_trajectories) if groups is None else groups.cpu()
+    groups = torch.arange(n_trajectories) if groups is None else groups.cpu().unique(return_inverse=True)[1]
     n_groups = int(groups.max()) + 1
     order = torch.randperm(n_groups, generator=generator)
     fold_of = torch.empty(n_groups, dtype=torch.int64)

@@ -92,7 +92,7 @@ def fit_switches(
     """Fit a switch function for every change of macro-label that the trajectories show.
 
     Args:
-        learner: finds the stumps; holds the frames.
+        learner: finds the weak hypotheses; holds the frames.
         labels, lengths: the segmentation.
         window: J >= 1, the positive frames from a change on. Later ones show what the next macro-action
             does, which a planner that waits for the change never sees: with J = 10 a correction near the

@@ -30,12 +30,12 @@ from dpmacro.options import TrainOptions
 from dpmacro.policy import MacroPolicy, PolicyConfig
 from dpmacro.quantising import Quantiser
 from dpmacro.runs import RunFolder
+from dpmacro.selection import FINALISTS, FOLDS
 from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
 
 __all__ = ["Trainer", "TrainingResult"]
 
 TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
-REDRAWN = 10  # rounds that a draw of columns serves at least where they are sorted when drawn
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,14 @@ class Trainer:
                 f"planner.early_stopping leaves demonstrations out and {demonstrations.root} has one: "
                 "record more, or leave it off"
             )
+        learners = options.planner.learner, options.planner.switch_learner
+        if options.planner.early_stopping and "mixed" in learners:
+            raise ValueError(
+                "planner.early_stopping would stop mixed learners before the networks' turn: give one of them"
+            )
+        height, width = demonstrations.images.shape[1:3]
+        if set(learners) != {"stumps"} and min(height, width) < 2:
+            raise ValueError(f"images are {height}x{width}: networks need 2x2 pixels at least, use stumps")
         self._generator = torch.Generator().manual_seed(options.seed)
         self._features, self.plan = self._plan()
 
@@ -122,8 +130,8 @@ class Trainer:
         planner = self.options.planner
         n_frames, height, width = self.demonstrations.images.shape[:3]
         features = make_features(planner.features, height, width, planner.rectangles, self._generator)
-        problems = self._macros * (planner.restarts if self._macros > 1 else 1)
-        tables = TABLES * 4 * problems * (int(self.actions.max()) + 1)
+        copies = max(planner.restarts, FINALISTS * FOLDS) if self._macros > 1 else 1
+        tables = TABLES * 4 * copies * self._macros * (int(self.actions.max()) + 1)
         image_bytes = self.demonstrations.images[0].size
         return features, Plan.fitting(n_frames, image_bytes, features.count, tables, planner.memory_limit)
 
@@ -155,12 +163,14 @@ class Trainer:
         """The weak learner of that name; a mixed one turns to networks after `rounds`."""
         planner = self.options.planner
         if kind == "stumps":
-            if not self.plan.drawn:
-                return StumpLearner(data, planner.drawn, planner.reuse)
-            drawn = min(self.plan.drawn, planner.drawn or self.plan.drawn)
-            return StumpLearner(data, drawn, max(planner.reuse, REDRAWN))
+            drawn = planner.drawn or self.plan.drawn
+            return StumpLearner(data, min(drawn, self.plan.drawn or drawn), planner.reuse)
         if kind == "convnet":
-            return ConvNetLearner(self._images, frames_before(self.lengths), epochs=planner.convnet.epochs)
+            return ConvNetLearner(
+                self._images,
+                frames_before(self.lengths.to(self._images.device)),
+                epochs=planner.convnet.epochs,
+            )
         stumps, networks = (self._learner(part, rounds, data) for part in ("stumps", "convnet"))
         return InTurn(stumps, rounds, networks)
 

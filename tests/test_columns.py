@@ -15,8 +15,9 @@ from dpmacro.quantising import Quantiser
 def test_the_sizes_of_the_goal():
     plan = Plan.fitting(17_000, 9216, 18_432, 120, 2.5)
     assert (plan.columns, plan.drawn) == (18_432, 0)
-    large = Plan.fitting(200_000, 9216, 4096, 120, 4.0)
-    assert large.columns == 4096 and 500 < large.drawn < 4096
+    large = Plan.fitting(200_000, 9216, 4096, 7680, 6.0)  # 2 macro-actions, 32 restarts, 3 actions
+    assert large.columns == 4096 and LEAST_COLUMNS < large.drawn < 4096
+    assert 512 <= Plan.fitting(200_000, 9216, 18_432, 7680, 5.0).columns < 18_432
 
 
 @given(
@@ -30,14 +31,16 @@ def test_a_plan_stays_within_the_limit_and_uses_what_there_is(n_frames, n_column
         plan = Plan.fitting(n_frames, 9216, n_columns, table_bytes, limit)
     except ValueError as error:
         assert f"memory_limit is {limit:g} GiB" in str(error)
-        assert n_frames * (9216 + table_bytes + 5) > (limit - 2) * GIB
+        least = 5 * min(LEAST_COLUMNS, n_columns)
+        assert n_frames * (9216 + table_bytes + least) > (limit - 1.6) * GIB
         return
     assert plan.gibibytes <= limit
     assert min(LEAST_COLUMNS, n_columns) <= plan.columns <= n_columns
     assert plan.drawn <= plan.columns
-    if plan.columns < n_columns:
-        assert plan.drawn >= LEAST_COLUMNS or plan.drawn == plan.columns
-    assert plan.gibibytes * GIB > LIBRARIES
+    assert plan.gibibytes * GIB > LIBRARIES + n_frames * (9216 + plan.columns)
+    if plan.drawn:  # a column more, kept or drawn, would not fit
+        assert plan.columns == n_columns or plan.gibibytes + n_frames / GIB > limit
+        assert plan.drawn == plan.columns or plan.gibibytes + 4 * n_frames / GIB > limit
 
 
 def example(n_frames=90):
@@ -56,7 +59,12 @@ def test_columns_are_those_computed_all_at_once(monkeypatch, kind, at_a_time):
     monkeypatch.setattr(columns, "VALUES", at_a_time)
     done = []
     same, cuts, data = prepare(
-        images, lengths, features, Plan(features.count, 0, 1.0), torch.Generator(), done.append
+        images,
+        lengths,
+        features,
+        Plan(features.count, features.count, 0, 1.0),
+        torch.Generator(),
+        done.append,
     )
     assert same is features and sum(done) == features.count
     assert torch.equal(cuts.cuts, quantiser.cuts)
@@ -70,7 +78,7 @@ def test_a_sample_of_many_frames_chooses_the_cuts(monkeypatch):
     values = features.values(images, previous_images(images, lengths))
     monkeypatch.setattr(columns, "SAMPLED", 30)
     monkeypatch.setattr(columns, "VALUES", 700)
-    _, quantiser, data = prepare(images, lengths, features, Plan(70, 20, 1.0), torch.Generator())
+    _, quantiser, data = prepare(images, lengths, features, Plan(70, 70, 20, 1.0), torch.Generator())
     assert torch.equal(data.levels, quantiser.levels(values))
     assert not torch.equal(quantiser.cuts, Quantiser.fit(values).cuts)
     assert len(data.columns) == 0
@@ -80,7 +88,7 @@ def test_columns_that_do_not_fit_are_left_out_at_random():
     images, lengths = example()
     features = make_features("rectangles", 12, 16, 70, torch.Generator().manual_seed(1))
     kept, quantiser, data = prepare(
-        images, lengths, features, Plan(20, 5, 1.0), torch.Generator().manual_seed(2)
+        images, lengths, features, Plan(20, 70, 5, 1.0), torch.Generator().manual_seed(2)
     )
     assert kept.count == len(quantiser.cuts) == data.n_columns == 20
     rows = {tuple(box) for box in features.first.tolist()}

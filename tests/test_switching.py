@@ -50,6 +50,26 @@ def test_held_out_scores_never_saw_their_trajectory():
     assert float(fitted[change].min()) > float(switches.held_out[change, 0].mean())
 
 
+def test_early_stopping_keeps_the_rounds_that_left_out_trajectories_want():
+    learner, labels, lengths = trajectories(visible=False)
+    reports = []
+    switches = fit_switches(
+        learner,
+        labels,
+        lengths,
+        torch.Generator().manual_seed(0),
+        rounds=60,
+        early_stopping=True,
+        on_round=reports.append,
+    )
+    used = switches.classifier.tensors()["votes"]
+    assert len(used) < len(reports) < 60, "noise is given up on, and later rounds are not kept"
+    full = fit_switches(learner, labels, lengths, torch.Generator().manual_seed(0), rounds=len(used))
+    torch.testing.assert_close(switches.held_out, full.held_out)
+    frames = Frames(learner.data.levels)
+    torch.testing.assert_close(switches.classifier.scores(frames), full.classifier.scores(frames))
+
+
 def test_every_observed_change_gets_a_switch_function():
     learner, _, _ = trajectories(n=1)
     labels = torch.arange(learner.n_frames) // 10 % 3

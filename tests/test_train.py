@@ -19,6 +19,7 @@ from dpmacro.demonstrations import Demonstrations
 from dpmacro.features import previous_images
 from dpmacro.options import TrainOptions
 from dpmacro.policy import MacroPolicy
+from dpmacro.selection import FINALISTS, FOLDS
 from dpmacro.training import TABLES
 
 SMALL = [
@@ -142,11 +143,13 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
     monkeypatch.setattr("dpmacro.columns.LIBRARIES", 0)
     monkeypatch.setattr("dpmacro.columns.LEAST_COLUMNS", 20)
     frames, height, width, _ = Demonstrations.load(recorded).images.shape
-    tables = TABLES * 4 * 2 * 4 * 3  # 2 macro-actions in 4 restarts, 3 actions
+    tables = TABLES * 4 * 2 * FINALISTS * FOLDS * 3  # 2 macro-actions, 3 actions
     limit = frames * (3 * height * width + tables + 150 + 4 * 100) / GIB
+    monkeypatch.setattr("dpmacro.columns.VALUES", 1000)
+    monkeypatch.setattr("dpmacro.columns.SAMPLED", 10)
     options = [f"--planner.memory_limit={limit:.9f}", *SMALL]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
-    assert re.search(r"columns +150, \d+ drawn at a time", capsys.readouterr().out)
+    assert re.search(r"columns +150 of 150, \d+ drawn at a time", capsys.readouterr().out)
 
 
 def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monkeypatch):
@@ -180,6 +183,15 @@ MISTAKES = {
     "no memory": (
         ["--dataset.root={data}", "--planner.memory_limit=0.1", "--output_dir={tmp}/run"],
         r"memory_limit is 0\.1 GiB: 30 frames need 0\.65",
+    ),
+    "mixed learners that stop early": (
+        [
+            "--dataset.root={data}",
+            "--planner.learner=mixed",
+            "--planner.early_stopping=true",
+            "--output_dir={tmp}/run",
+        ],
+        "early_stopping would stop mixed learners",
     ),
     "nothing to leave out": (
         [

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int64, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from dpmacro.learners import Frames
+from dpmacro.learners import HEAVIEST, Frames, overflow
 
 __all__ = ["ConvNetClassifier", "ConvNetLearner", "ConvNets"]
 
@@ -175,9 +175,8 @@ class ConvNetLearner:
         memory: None = None,
     ) -> tuple[ConvNets, None]:
         """A newly trained network for every problem; it votes 0 in a problem whose frames have no weight."""
-        total = weights.sum((0, 1), dtype=torch.float64).to(weights.dtype)
-        if not bool(total.isfinite().all()):
-            raise ValueError(f"weights of the frames sum to {total.tolist()}: they must be finite")
+        if not bool((weights.sum((0, 2)) < HEAVIEST).all()):  # nor where one is NaN
+            raise ValueError(overflow(weights))
         all_targets = targets.expand(weights.shape).unbind(1)
         pairs = zip(weights.unbind(1), all_targets, strict=True)
         return ConvNets.stack([self._train(*pair, generator) for pair in pairs]), None
@@ -264,7 +263,7 @@ def _outputs(
     """Votes on every image; `others[previous]` are the images before."""
     maps = nets.first.shape[:2].numel() * images.shape[1] * images.shape[2] // STRIDE**2
     frames = torch.arange(len(images), device=images.device)
-    chunks = frames.split(max(1, min(ACTIVATIONS // maps, CHUNK_FRAMES)))
+    chunks = frames.split(max(1, min(ACTIVATIONS // max(maps, 1), CHUNK_FRAMES)))
     return torch.cat([nets.votes(_pixels(images[chunk], others[previous[chunk]])) for chunk in chunks])
 
 

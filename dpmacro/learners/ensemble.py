@@ -59,6 +59,8 @@ class _Turn:
 class InTurn:
     """`first` finds the weak hypotheses of the first `rounds` rounds, `then` all others.
 
+    Problems that end while `first` has its turn have ended for `then`, too.
+
     Both hold the same frames. A hypothesis is a pair: whether it is the second learner's, and what it is.
     """
 

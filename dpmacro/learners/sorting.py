@@ -52,18 +52,17 @@ class SortedLevels:
         by comparison, in threads side by side.
         """
         chosen = torch.arange(len(levels)) if columns is None else columns.cpu()
-        source = levels.cpu().numpy()
-        names = chosen.numpy()
-        histograms = np.empty((len(names), LEVELS), np.int32)
-        parts = [range(k, min(k + PART, len(names))) for k in range(0, len(names), PART)]
+        source = (levels if columns is None else levels[columns.to(levels.device)]).cpu().numpy()
+        histograms = np.empty((len(source), LEVELS), np.int32)
+        parts = [range(k, min(k + PART, len(source))) for k in range(0, len(source), PART)]
 
         def count(part: range) -> None:
             for k in part:
-                histograms[k] = np.bincount(source[names[k]], minlength=LEVELS)
+                histograms[k] = np.bincount(source[k], minlength=LEVELS)
 
         def sort(part: range) -> None:
             for k in part:
-                by_level = source[names[k]].argsort(kind="stable")
+                by_level = source[k].argsort(kind="stable")
                 low = histograms[k, : full_levels[k]].sum()
                 high = low + histograms[k, full_levels[k]]
                 entries = order[ends[k] - len(by_level) + high - low : ends[k]]

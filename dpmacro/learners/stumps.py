@@ -16,6 +16,7 @@ __all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps", "column_losses
 
 CACHED = 2**18  # histogram entries of a chunk of columns that stay in a core's cache
 ON_DEVICE = 2**24  # likewise where a large chunk keeps the device busy
+REDRAWN = 10  # rounds that a draw serves at least where its columns are sorted when they are drawn
 SHORTLIST = 64  # columns that every problem passes on to the rounds that re-use them
 
 
@@ -68,12 +69,13 @@ class StumpClassifier:
         return self.columns.T.flatten(), thresholds, low.sum(0), (high - low).transpose(0, 1).contiguous()
 
     def used_columns(self) -> Int64[Tensor, " used"]:
-        """The columns that any stump looks at, ascending."""
-        return self.columns.unique()
+        """The columns that any stump with a vote looks at, ascending."""
+        return self.columns[(self.votes != 0).any(3).any(2)].unique()
 
     def renumbered(self, columns: Int64[Tensor, " kept"]) -> "StumpClassifier":
         """The same classifiers for levels that hold only `columns` (ascending)."""
-        return StumpClassifier(torch.searchsorted(columns, self.columns), self.thresholds, self.votes)
+        places = torch.searchsorted(columns, self.columns).clamp(max=max(len(columns) - 1, 0))
+        return StumpClassifier(places, self.thresholds, self.votes)  # those without a vote may look anywhere
 
     def tensors(self) -> dict[str, Tensor]:
         """What defines the classifiers, for a file."""
@@ -94,7 +96,8 @@ class StumpLearner:
         reuse: rounds that a search serves, 1 for just its own. Drawn columns stay for so many rounds; where
             all columns are searched, the best of every problem are searched alone in the rounds that follow.
 
-    Where the data holds no sorted columns, those drawn are sorted when they are drawn.
+    Where the data holds no sorted columns, those drawn are sorted when they are drawn, and stay for at least
+    `REDRAWN` rounds.
     """
 
     data: SortedLevels
@@ -153,11 +156,13 @@ class StumpLearner:
         return torch.where(above.T[:, :, None], high, low)
 
     def strong(self, rounds: list[Stumps], steps: Float[Tensor, "rounds problems"]) -> StumpClassifier:
-        """sum_t step_t h_t of the rounds' stumps."""
+        """sum_t step_t h_t of the rounds' stumps; rounds in which no problem takes a step are left out."""
+        steps = steps.to(self.device)
+        taken = (steps != 0).any(1)
         return StumpClassifier(
-            torch.stack([stumps.columns for stumps in rounds]),
-            torch.stack([stumps.thresholds for stumps in rounds]),
-            torch.stack([stumps.votes for stumps in rounds]) * steps.to(self.device)[:, :, None, None],
+            torch.stack([stumps.columns for stumps in rounds])[taken],
+            torch.stack([stumps.thresholds for stumps in rounds])[taken],
+            (torch.stack([stumps.votes for stumps in rounds]) * steps[:, :, None, None])[taken],
         )
 
     def _search(self, generator: torch.Generator) -> Search:
@@ -165,7 +170,8 @@ class StumpLearner:
         if self.drawn == 0 or (self.drawn >= n_columns and len(self.data.columns)):
             return Search(self.data, 1)
         columns = torch.randperm(n_columns, generator=generator)[: self.drawn].sort().values
-        return Search(self.data.take(columns), self.reuse)
+        rounds = self.reuse if len(self.data.columns) else max(self.reuse, REDRAWN)
+        return Search(self.data.take(columns), rounds)
 
 
 def column_losses(
