@@ -22,6 +22,7 @@ GIB = 2**30
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
 VALUES = 2**26  # integers that are quantised at a time
 SAMPLED = 20_000  # frames that choose the cuts, evenly spaced, where there are more
+SORTED = 5  # bytes of a frame in a column that is being sorted: its number, and a copy of its level
 LEAST_COLUMNS = 512  # as many as judging a segmentation searches
 
 
@@ -61,7 +62,7 @@ class Plan:
         boosting = n_frames * table_bytes
 
         def most(columns: int, drawn: int) -> float:
-            return (fixed + columns * n_frames + max(quantising, boosting + 4 * drawn * n_frames)) / GIB
+            return (fixed + columns * n_frames + max(quantising, boosting + SORTED * drawn * n_frames)) / GIB
 
         if most(n_columns, n_columns) <= limit:
             return cls(n_columns, n_columns, 0, most(n_columns, n_columns))
@@ -71,9 +72,9 @@ class Plan:
                 f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at least"
             )
         room = limit * GIB - fixed
-        kept = int((room - max(quantising, boosting + 4 * least * n_frames)) / n_frames)
+        kept = int((room - max(quantising, boosting + SORTED * least * n_frames)) / n_frames)
         columns = min(max(kept, least), n_columns)
-        drawn = int((room - boosting - columns * n_frames) / (4 * n_frames))
+        drawn = int((room - boosting - columns * n_frames) / (SORTED * n_frames))
         drawn = min(max(drawn, least), columns)
         return cls(columns, n_columns, drawn, most(columns, drawn))
 
