@@ -22,7 +22,8 @@ GIB = 2**30
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
 VALUES = 2**26  # integers that are quantised at a time
 SAMPLED = 20_000  # frames that choose the cuts, evenly spaced, where there are more
-SORTED = 5  # bytes of a frame in a column that is being sorted: its number, and a copy of its level
+SORTED = 4  # bytes of a frame's place in a column's order
+DRAWN = SORTED + 1  # likewise where columns are sorted when drawn, from a copy of their levels
 LEAST_COLUMNS = 512  # as many as judging a segmentation searches
 
 
@@ -61,20 +62,20 @@ class Plan:
         quantising = sampled + 4 * min(VALUES, n_columns * n_frames)
         boosting = n_frames * table_bytes
 
-        def most(columns: int, drawn: int) -> float:
-            return (fixed + columns * n_frames + max(quantising, boosting + SORTED * drawn * n_frames)) / GIB
+        def most(columns: int, drawn: int, each: int = DRAWN) -> float:
+            return (fixed + columns * n_frames + max(quantising, boosting + each * drawn * n_frames)) / GIB
 
-        if most(n_columns, n_columns) <= limit:
-            return cls(n_columns, n_columns, 0, most(n_columns, n_columns))
+        if (whole := most(n_columns, n_columns, SORTED)) <= limit:
+            return cls(n_columns, n_columns, 0, whole)
         least = min(LEAST_COLUMNS, n_columns)
         if most(least, least) > limit:
             raise ValueError(
                 f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at least"
             )
         room = limit * GIB - fixed
-        kept = int((room - max(quantising, boosting + SORTED * least * n_frames)) / n_frames)
+        kept = int((room - max(quantising, boosting + DRAWN * least * n_frames)) / n_frames)
         columns = min(max(kept, least), n_columns)
-        drawn = int((room - boosting - columns * n_frames) / (SORTED * n_frames))
+        drawn = int((room - boosting - columns * n_frames) / (DRAWN * n_frames))
         drawn = min(max(drawn, least), columns)
         return cls(columns, n_columns, drawn, most(columns, drawn))
 
