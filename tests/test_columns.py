@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpmacro import columns
@@ -20,6 +20,7 @@ def test_the_sizes_of_the_goal():
     assert 512 <= Plan.fitting(200_000, 9216, 18_432, 7680, 5.0).columns < 18_432
 
 
+@settings(deadline=None)
 @given(
     n_frames=st.integers(10, 300_000),
     n_columns=st.integers(1, 20_000),
