@@ -12,14 +12,24 @@ transition at all. The inner minimum over m is a running minimum along time, so 
 ``cummin`` over the padded batch [trajectories, macros, time].
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-__all__ = ["Segmentation", "segment", "transition_counts"]
+__all__ = [
+    "Segmentation",
+    "blocks_of",
+    "check",
+    "frames_inside",
+    "pad",
+    "recursion",
+    "segment",
+    "transition_counts",
+]
 
 BLOCK = 2**17  # costs of so many frames and macro-actions stay in a core's cache
 
@@ -57,14 +67,10 @@ def segment(
     Raises ValueError for costs that are not finite, an empty trajectory, lengths that do not add up
     and a negative bound.
     """
-    _check(costs, lengths, max_transitions, transition_costs)
+    check(costs, lengths, max_transitions, transition_costs)
     lengths = lengths.cpu()
-    size = (
-        max(1, BLOCK // (costs.shape[1] * int(lengths.max()))) if costs.device.type == "cpu" else len(lengths)
-    )
-    blocks, first = [], 0
-    for part in lengths.split(size):
-        frames = slice(first, first := first + int(part.sum()))
+    blocks = []
+    for frames, part in blocks_of(costs, lengths):
         changes = None if transition_costs is None else transition_costs[frames].double()
         blocks.append(_segment_block(costs[frames].double(), part, max_transitions, changes))
     labels, cost_by_bound = (torch.cat(parts) for parts in zip(*blocks, strict=True))
@@ -83,27 +89,51 @@ def transition_counts(
     return total[ends] - total[torch.nn.functional.pad(ends[:-1], (1, 0))]
 
 
+def blocks_of(
+    costs: Float[Tensor, "frames macros"], lengths: Int64[Tensor, " trajectories"]
+) -> Iterator[tuple[slice, Int64[Tensor, " part"]]]:
+    """Trajectories in portions whose costs stay in a core's cache: their frames and their lengths."""
+    size = max(1, BLOCK // (costs.shape[1] * int(lengths.max())))
+    first = 0
+    for part in lengths.split(size if costs.device.type == "cpu" else len(lengths)):
+        yield slice(first, first := first + int(part.sum())), part
+
+
 def _segment_block(
     costs: Tensor, lengths: Tensor, max_transitions: int, transition_costs: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """Labels [frames] and least costs [trajectories, bounds] of some trajectories, padded to one length."""
-    inside = (torch.arange(int(lengths.max())) < lengths[:, None]).to(costs.device)
+    inside = frames_inside(lengths).to(costs.device)
     last = (lengths - 1).to(costs.device)
-    prefix = _pad(costs, inside).cumsum(2)  # [trajectories, macros, time]
-    transitions = None if transition_costs is None else _pad(transition_costs, inside)
+    prefix = pad(costs, inside).cumsum(2)  # [trajectories, macros, time]
+    transitions = None if transition_costs is None else pad(transition_costs, inside)
+    best, entries = recursion(prefix, max_transitions, transitions)
+    by_bound = _at(best, last).amin(2).T
+    labels = _trace_back(best, entries, transitions, by_bound, last)
+    missing = max_transitions + 1 - by_bound.shape[1]
+    return labels[inside], torch.cat([by_bound, by_bound[:, -1:].expand(-1, missing)], 1)
+
+
+def recursion(
+    prefix: Float[Tensor, "trajectories macros time"],
+    max_transitions: int,
+    transitions: Float[Tensor, "trajectories macros macros time"] | None = None,
+) -> tuple[Float[Tensor, "bounds trajectories macros time"], list[Float[Tensor, "..."]]]:
+    """E_s(n, q) for s = 0..S, and for s = 1.. the cheapest arrivals at frames m = 2..N.
+
+    `prefix` are the sums P_n(q) of padded costs. An arrival is min over q' of E_{s-1}(m-1, q') + T_m(q', q),
+    [trajectories, 1 or Q, time - 1]. There are fewer levels than S + 1 where more transitions cannot be.
+    """
     levels = min(max_transitions, prefix.shape[2] - 1) if prefix.shape[1] > 1 else 0
-    best = prefix.new_empty(levels + 1, *prefix.shape)  # E_s(n, q)
+    best = prefix.new_empty(levels + 1, *prefix.shape)
     best[0] = prefix
-    entries = []  # cheapest arrivals at frames m = 2..N for s = 1.., [trajectories, 1 or Q, time - 1]
+    entries = []
     for before, after in pairwise(best):
         entries.append(_cheapest_entry(before, transitions))
         gain = (entries[-1] - prefix[:, :, :-1]).cummin(2).values.clamp_(max=0)
         after[:, :, 0] = prefix[:, :, 0]
         torch.add(prefix[:, :, 1:], gain, out=after[:, :, 1:])
-    by_bound = _at(best, last).amin(2).T
-    labels = _trace_back(best, entries, transitions, by_bound, last)
-    missing = max_transitions + 1 - by_bound.shape[1]
-    return labels[inside], torch.cat([by_bound, by_bound[:, -1:].expand(-1, missing)], 1)
+    return best, entries
 
 
 def _cheapest_entry(best: Tensor, transitions: Tensor | None) -> Tensor:
@@ -154,7 +184,12 @@ def _trace_back(
     return labels
 
 
-def _pad(values: Tensor, inside: Tensor) -> Tensor:
+def frames_inside(lengths: Int64[Tensor, " trajectories"]) -> Bool[Tensor, "trajectories time"]:
+    """Where padded trajectories hold a frame."""
+    return torch.arange(int(lengths.max())) < lengths[:, None]
+
+
+def pad(values: Float[Tensor, "frames ..."], inside: Tensor) -> Tensor:
     """Concatenated frames as [trajectories, ..., time], zeros after the end of each."""
     padded = values.new_zeros(*inside.shape, *values.shape[1:])
     padded[inside] = values
@@ -167,7 +202,8 @@ def _at(values: Tensor, time: Tensor) -> Tensor:
     return values.gather(3, place).squeeze(3)
 
 
-def _check(costs: Tensor, lengths: Tensor, max_transitions: int, transition_costs: Tensor | None) -> None:
+def check(costs: Tensor, lengths: Tensor, max_transitions: int, transition_costs: Tensor | None) -> None:
+    """Raises the errors that `segment` names."""
     if max_transitions < 0:
         raise ValueError(f"max_transitions is {max_transitions}: the bound on transitions must be 0 or more")
     if costs.ndim != 2 or costs.shape[1] == 0:
