@@ -9,11 +9,11 @@ PEERS := $(VENV)/.bench-$(VERSION)
 BIN := $(VENV)/bin
 WORKERS ?= 2
 
-.PHONY: help venv test lint types pytest demo clean-demo bench
+.PHONY: help venv test lint types pytest demo clean-demo bench bench-segmentation
 .DEFAULT_GOAL := help
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 venv: $(INSTALLED) ## build the environment in .venv (make venv PYTHON=python3.12 for another Python)
 
@@ -79,6 +79,16 @@ SMALL := --quick=true --matrices='[pixels, random]'
 
 bench: $(PEERS) $(DATASET)/meta/info.json ## measure against other libraries (make bench QUICK=1 for small data)
 	$(BIN)/python benchmarks/bench.py --dataset=$(DATASET) --threads=$(WORKERS) $(if $(QUICK),$(SMALL)) $(BENCH)
+
+BABYAI := datasets/babyai
+LEVELS := $(addprefix BabyAI-,GoToSeqS5R2-v0 UnlockLocal-v0 PutNextS5N2-v0 PickupAbove-v0 UnlockPickup-v0 SynthS5R2-v0)
+LEVELS := $(LEVELS:%=$(BABYAI)/%/meta/info.json)
+
+bench-segmentation: $(PEERS) $(DATASET)/meta/info.json $(LEVELS) ## compare segmentations with other methods' where the truth is known (QUICK=1 likewise)
+	$(BIN)/python benchmarks/bench_segmentation.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
+
+$(BABYAI)/%/meta/info.json: | $(INSTALLED)
+	$(BIN)/python datasets/record_babyai.py --root=$(BABYAI)/$* --level=$* --episodes=100 --seed=0
 
 $(PEERS): $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'

@@ -1,10 +1,13 @@
-"""Run a saved policy, or the teacher, in its world and count successes.
+"""Run a saved policy, or the teacher, in its world and count successes; or look at a policy's segmentation.
 
     python eval.py --policy.path=outputs/train/.../checkpoints/last/pretrained_model --workers=2
     python eval.py --policy.type=teacher --world.flags=fixed --videos=3
+    python eval.py --segmentation --policy.path=outputs/train/.../pretrained_model --dataset.root=datasets/...
 
 Prints successes, their rate with its 95% interval and how the failures split, and writes the same to
-`eval_info.json` in LeRobot's form, TensorBoard scalars beside it.
+`eval_info.json` in LeRobot's form, TensorBoard scalars beside it. With `--segmentation` no world runs: the
+policy cuts demonstrations into its macro-actions, and `segmentation.html`, `segmentation.json`, pictures in
+`figures/` and TensorBoard events show how.
 """
 
 import json
@@ -13,6 +16,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from datetime import datetime
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,11 +24,16 @@ from tqdm import tqdm
 
 from dpmacro import cli
 from dpmacro.files import replacing
-from dpmacro.metrics import SuccessSummary, success_summary
+from dpmacro.outcomes import SuccessSummary, success_summary
 from dpmacro.rollouts import NO_MACRO, Episode, Moment, PlannerSource, iter_episodes, replay
 from dpmacro.worlds.two_flags import ACTIONS, TwoFlagsConfig
 
 # Every worker process imports this file again: what only the parent needs is imported where it is used.
+
+if TYPE_CHECKING or parent_process() is None:
+    from dpmacro.options import DatasetOptions
+else:
+    DatasetOptions = object
 
 WORLD = "TwoFlags-v0"
 
@@ -58,10 +67,15 @@ class EvalOptions:
 
     policy: PolicyOptions = field(default_factory=PolicyOptions)
     world: WorldOptions = field(default_factory=WorldOptions)
+    segmentation: bool = field(default=False, metadata={"custom_args": {"nargs": "?", "const": "true"}})
+    """Cut the demonstrations of --dataset.root with a --policy.path, instead of running it."""
+    dataset: DatasetOptions = field(default_factory=DatasetOptions)
+    tolerance: int = 10
+    """Frames by which a found change point may miss a true one, with --segmentation."""
     episodes: int = 100
     """Runs, each with its own seed."""
     seed: int = 1000
-    """Seed of the first run; the others follow it."""
+    """Seed of the first run; the others follow it. With --segmentation that of the random cuts."""
     workers: int = 1
     """Processes that share the runs; the results do not depend on it."""
     videos: int = 0
@@ -72,18 +86,36 @@ class EvalOptions:
     """Name of the evaluation; by default that of what runs."""
 
     def __post_init__(self) -> None:
+        if self.segmentation:
+            if self.policy.path is None or self.policy.type is not None:
+                raise ValueError(
+                    "a saved policy cuts demonstrations: give --policy.path alone to --segmentation"
+                )
+            if self.dataset.root is None:
+                raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
+            if self.dataset.mirror:
+                raise ValueError("--dataset.mirror is for training: leave it out with --segmentation")
+        elif self.dataset.root is not None:
+            raise ValueError(f"--dataset.root={self.dataset.root} is for --segmentation: give that, too")
         if (self.policy.path is None) == (self.policy.type is None):
             raise ValueError("give either --policy.path=<a run's pretrained_model> or --policy.type=teacher")
         if self.policy.type not in (None, "teacher"):
             raise ValueError(
                 f"--policy.type={self.policy.type} is unknown: choose teacher or give a --policy.path"
             )
-        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0)):
+        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0), ("tolerance", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"--{name}={getattr(self, name)}: it must be at least {least}")
 
 
 def main(options: EvalOptions) -> None:
+    if options.segmentation:
+        show_segmentation(options)
+    else:
+        count_successes(options)
+
+
+def count_successes(options: EvalOptions) -> None:
     source, name, stored = planner(options.policy)
     given = {option: value for option, value in vars(options.world).items() if value is not None}
     try:
@@ -131,6 +163,39 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
     if unknown:
         raise ValueError(f"{options.path} was trained in a {WORLD} with {unknown[0]!r}, which this one lacks")
     return PlannerSource("policy", options.path), config.type, stored
+
+
+def show_segmentation(options: EvalOptions) -> None:
+    """Cut demonstrations with a policy; print how that agrees with the truth, and write a report."""
+    from dpmacro.annotation import annotate
+    from dpmacro.demonstrations import Demonstrations
+    from dpmacro.findings import Findings
+    from dpmacro.gallery import picture_count, pictures
+    from dpmacro.policy import MacroPolicy
+    from dpmacro.report import PAGE, SHOWN, SUMMARY, score_text, write_report
+
+    path, dataset = options.policy.path, options.dataset
+    assert path is not None and dataset.root is not None, "the options checked it"
+    output_dir = options.output_dir or default_output_dir(options.job_name or "segmentation")
+    if (output_dir / SUMMARY).exists():
+        raise ValueError(f"{output_dir} already holds a {SUMMARY}: give another --output_dir")
+    policy = MacroPolicy.load(path)
+    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth)
+    findings = Findings(
+        policy,
+        demonstrations,
+        annotate(policy, demonstrations),
+        tuple(dataset.episodes or range(len(demonstrations.lengths))),
+        {"dataset": str(dataset.root), "policy": str(path)},
+        options.tolerance,
+        options.seed,
+    )
+    with tqdm(pictures(findings, SHOWN), "Pictures", picture_count(findings, SHOWN), unit="picture") as made:
+        write_report(findings, iter(made), output_dir)
+    if findings.scores:
+        print(score_text(findings))
+    print(f"page        {output_dir / PAGE}")
+    print(f"pictures    {output_dir / 'figures'}")
 
 
 def default_output_dir(job_name: str) -> Path:

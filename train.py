@@ -24,14 +24,14 @@ def main(options: TrainOptions) -> None:
     folder = RunFolder(options.output_dir) if options.output_dir else RunFolder.dated(job_name)
     dataset = options.dataset
     assert dataset.root is not None, "the options checked it"
-    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera)
+    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth)
     if dataset.mirror:
         demonstrations = demonstrations.mirrored(dataset.mirror_actions)
     started = time.perf_counter()
     result = Trainer(demonstrations, options, folder).train()
     print(report(result, folder, time.perf_counter() - started))
-    if demonstrations.phase is not None:
-        print(truth_report(result.discovery.labels.numpy(), demonstrations.phase, demonstrations.lengths))
+    if demonstrations.truth is not None:
+        print(truth_report(result.discovery.labels.numpy(), demonstrations))
 
 
 def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
@@ -58,12 +58,15 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     return "\n".join(lines)
 
 
-def truth_report(labels: np.ndarray, phase: np.ndarray, lengths: np.ndarray) -> str:
-    """The segmentation against the phase that the dataset records, which training never sees."""
-    found = boundary_offsets(labels, phase, lengths)
+def truth_report(labels: np.ndarray, demonstrations: Demonstrations) -> str:
+    """The segmentation against the truth that the dataset records, which training never sees."""
+    truth = demonstrations.truth
+    assert truth is not None, "the caller checked it"
+    found = boundary_offsets(labels, truth, demonstrations.lengths)
     near = int((found.offsets <= 10).sum())
+    name = f"true {demonstrations.truth_name}"
     return (
-        f"true phase   {frame_accuracy(labels, phase):.1%} of frames agree; "
+        f"{name:<12} {frame_accuracy(labels, truth):.1%} of frames agree; "
         f"change point within 10 frames in {near} of {found.trajectories} demonstrations"
     )
 

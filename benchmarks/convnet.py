@@ -51,8 +51,8 @@ class ConvNetOptions:
 
 def main(options: ConvNetOptions) -> None:
     demonstrations = Demonstrations.load(options.dataset)
-    if demonstrations.phase is None:
-        raise ValueError(f"dataset {options.dataset} holds no phase: record one with datasets/record.py")
+    if demonstrations.truth is None:
+        raise ValueError(f"dataset {options.dataset} holds no truth: record one with datasets/record.py")
     images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
     generator = torch.Generator().manual_seed(options.seed)
     features = make_features("rectangles", *images.shape[1:3], 4096, generator)
@@ -91,7 +91,7 @@ def actions_row(
 ) -> str:
     """Seconds, accuracies and recalls of a classifier per phase."""
     lengths = torch.from_numpy(demonstrations.lengths)
-    actions, phase = torch.from_numpy(demonstrations.actions), torch.from_numpy(demonstrations.phase)
+    actions, phase = torch.from_numpy(demonstrations.actions), torch.from_numpy(demonstrations.truth)
     trained = (torch.arange(len(lengths)) < len(lengths) - len(lengths) // LEFT_OUT).repeat_interleave(
         lengths
     )
@@ -115,7 +115,7 @@ def switches_row(
     learner: WeakLearner, demonstrations: Demonstrations, rounds: int, shrinkage: float, seed: int
 ) -> str:
     """Seconds, and the detected share of every pair of phases."""
-    lengths, phase = torch.from_numpy(demonstrations.lengths), torch.from_numpy(demonstrations.phase)
+    lengths, phase = torch.from_numpy(demonstrations.lengths), torch.from_numpy(demonstrations.truth)
     start = time.perf_counter()
     generator = torch.Generator().manual_seed(seed)
     switches = fit_switches(learner, phase, lengths, generator, rounds=rounds, shrinkage=shrinkage)

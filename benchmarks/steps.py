@@ -182,7 +182,7 @@ def _record(record: ModuleType, world: dict[str, Any], root: Path, n_runs: int) 
     ):
         for seed, run in enumerate(runs):
             if run is not None:
-                writer.add_episode(run.images, run.actions, run.phases, run.rewards, True)
+                writer.add_episode(run.images, run.actions, run.truth, run.rewards, True)
                 kept += 1
                 if kept == 1:
                     first, started = seed + 1, time.perf_counter()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dpmacro import cli, figures
-from dpmacro.metrics import wilson_interval
+from dpmacro.outcomes import wilson_interval
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dpmacro import cli
-from dpmacro.metrics import wilson_interval
+from dpmacro.outcomes import wilson_interval
 from dpmacro.rollouts import OUTCOMES, SUCCESS, PlannerSource, iter_episodes
 from dpmacro.worlds.two_flags import PIXELS, TwoFlagsConfig
 

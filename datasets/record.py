@@ -64,7 +64,7 @@ class Run:
 
     images: UInt8[np.ndarray, "frames height width 3"]
     actions: Int64[np.ndarray, " frames"]
-    phases: Int64[np.ndarray, " frames"]
+    truth: dict[str, Int64[np.ndarray, " frames"]]
     rewards: Float32[np.ndarray, " frames"]
     views: UInt8[np.ndarray, "frames view_height view_width 3"] | None
 
@@ -82,7 +82,7 @@ def main(cfg: RecordConfig) -> None:
         for run in runs:
             tried += 1
             if run is not None:
-                writer.add_episode(run.images, run.actions, run.phases, run.rewards, True, run.views)
+                writer.add_episode(run.images, run.actions, run.truth, run.rewards, True, run.views)
                 kept += 1
                 frames += len(run.actions)
                 bar.set_postfix(frames=frames, tried=tried)
@@ -137,7 +137,7 @@ def run_teacher(world: tuple[tuple[str, Any], ...], view: bool, seed: int) -> Ru
     return Run(
         images=np.stack(images),
         actions=np.array(actions, np.int64),
-        phases=np.array(phases, np.int64),
+        truth={"phase": np.array(phases, np.int64)},
         rewards=np.array(rewards, np.float32),
         views=np.stack(views) if view else None,
     )

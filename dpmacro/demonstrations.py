@@ -29,10 +29,12 @@ class Demonstrations:
         lengths: frames per trajectory, at least 2.
         action_names: M names; the numbers as text where the dataset names none.
         fps: frames per second.
-        phase: the true macro-label, for metrics only; None where the data has none.
+        truth: the true macro-label, for metrics only, 0..K-1; None where the data has none.
         world: {"id": "TwoFlags-v0", **options} of the world recorded from; {} where the data does not say.
         root: the dataset's folder.
         mirror_images: so many trajectories at the end are mirror images of as many at the start.
+        truth_name: the column that `truth` comes from, "phase" or "subgoal" say; None without truth.
+        truth_classes: names of the true labels 0..K-1; the numbers as text where the data names none.
     """
 
     images: UInt8[np.ndarray, "frames height width 3"]
@@ -40,20 +42,28 @@ class Demonstrations:
     lengths: Int64[np.ndarray, " trajectories"]
     action_names: tuple[str, ...]
     fps: int
-    phase: Int64[np.ndarray, " frames"] | None
+    truth: Int64[np.ndarray, " frames"] | None
     world: dict[str, Any]
     root: Path
     mirror_images: int = 0
+    truth_name: str | None = None
+    truth_classes: tuple[str, ...] = ()
 
     @classmethod
     def load(
-        cls, root: str | Path, episodes: Sequence[int] | None = None, camera: str | None = None
+        cls,
+        root: str | Path,
+        episodes: Sequence[int] | None = None,
+        camera: str | None = None,
+        truth: str | None = None,
     ) -> "Demonstrations":
         """Reads a LeRobot v3 dataset with discrete actions, without touching the network.
 
         Actions are `discrete_action` where there is one, else `action`: whole numbers, or one-hot vectors.
         `episodes` chooses some, in the order given; `camera` names the image feature where there are several
-        (it may stay None where exactly one of them is stored as images rather than video).
+        (it may stay None where exactly one of them is stored as images rather than video); `truth` names the
+        integer column of true labels; by default the first that was recorded as such, else `phase` or
+        `subgoal`, where there is one.
 
         Raises DatasetError, one line that names folder, value and remedy, for anything it cannot read as
         demonstrations of at least two frames each.
@@ -69,9 +79,12 @@ class Demonstrations:
                 )
         camera = _choose_camera(store, camera)
         stored_as_image = store.features[camera]["dtype"] == "image"
-        names = [name for name in ("action", "discrete_action", "phase") if name in store.features]
+        truth = _choose_truth(store, truth)
+        wanted = dict.fromkeys(("action", "discrete_action", truth))
+        names = [name for name in wanted if name is not None and name in store.features]
         columns = store.columns([*names, camera] if stored_as_image else names, chosen)
         actions, action_names = _discrete_actions(store, columns)
+        labels, classes = (None, ()) if truth is None else _true_labels(store, truth, columns[truth])
         if stored_as_image:
             images = decode_images(columns.pop(camera), f"dataset {root}, {camera}")
             pa.default_memory_pool().release_unused()  # the encoded ones: Arrow would keep their memory
@@ -83,9 +96,11 @@ class Demonstrations:
             lengths=np.array([row["length"] for row in chosen], np.int64),
             action_names=action_names,
             fps=int(store.info["fps"]),
-            phase=columns["phase"].astype(np.int64) if "phase" in columns else None,
+            truth=labels,
             world=store.world,
             root=root,
+            truth_name=truth,
+            truth_classes=classes,
         )
 
     @property
@@ -111,7 +126,7 @@ class Demonstrations:
             images=self.images[frames],
             actions=self.actions[frames],
             lengths=self.lengths[chosen],
-            phase=None if self.phase is None else self.phase[frames],
+            truth=None if self.truth is None else self.truth[frames],
             mirror_images=0,
         )
 
@@ -130,7 +145,7 @@ class Demonstrations:
             images=np.concatenate([self.images, self.images[:, :, ::-1]]),
             actions=np.concatenate([self.actions, swapped[self.actions]]),
             lengths=np.tile(self.lengths, 2),
-            phase=None if self.phase is None else np.tile(self.phase, 2),
+            truth=None if self.truth is None else np.tile(self.truth, 2),
             mirror_images=len(self.lengths),
         )
 
@@ -179,6 +194,38 @@ def _choose_camera(store: StoredDataset, camera: str | None) -> str:
         if len(only) == 1:
             return only[0]
     raise DatasetError(f"dataset {store.root}: several cameras, {', '.join(cameras)}; name one as camera")
+
+
+def _choose_truth(store: StoredDataset, truth: str | None) -> str | None:
+    """The column of true labels; None where neither the caller nor the data names one."""
+    whole = [
+        name
+        for name, feature in store.features.items()
+        if re.fullmatch(r"u?int\d+", feature["dtype"]) and list(feature["shape"]) in ([], [1])
+    ]
+    if truth is None:
+        return next((name for name in (*store.truth, "phase", "subgoal") if name in whole), None)
+    if truth not in whole:
+        raise DatasetError(
+            f"dataset {store.root}: no integer column {truth!r} to be the truth; it has {', '.join(whole)}"
+        )
+    return truth
+
+
+def _true_labels(
+    store: StoredDataset, truth: str, column: np.ndarray
+) -> tuple[Int64[np.ndarray, " frames"], tuple[str, ...]]:
+    """The labels of a column and the names of their classes, numbers as text where the dataset names none."""
+    labels = column.reshape(-1).astype(np.int64)
+    if labels.min() < 0:
+        frame = int((labels < 0).argmax())
+        raise DatasetError(
+            f"dataset {store.root}: {truth} {labels[frame]} of frame {frame} is negative; "
+            "name another column as truth"
+        )
+    named = tuple(store.truth.get(truth, ()))
+    largest = max(int(labels.max()), -1 if named else store.largest(truth))
+    return labels, named + tuple(str(label) for label in range(len(named), largest + 1))
 
 
 def _discrete_actions(

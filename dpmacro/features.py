@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Int32, Int64, UInt8
+from jaxtyping import Float, Int32, Int64, UInt8
 from torch import Tensor
 
 __all__ = [
@@ -63,6 +63,10 @@ class FeatureSet(Protocol):
         """The feature set that holds just these columns, in this order."""
         ...
 
+    def footprint(self, weights: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows height width"]:
+        """Weights of columns, 0 or more, spread evenly over the pixels that each looks at; float64."""
+        ...
+
     def tensors(self) -> dict[str, Tensor]:
         """What defines the columns, for a file; `features_from` reads it back."""
         ...
@@ -108,6 +112,13 @@ class Pixels:
     def select(self, columns: Int64[Tensor, " selected"]) -> "Pixels":
         """Just these columns, in this order."""
         return Pixels(self.height, self.width, self.places[columns.to(self.places.device)])
+
+    def footprint(self, weights: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows height width"]:
+        """Every column's weight at its pixel, whatever the channel."""
+        plane = self.height * self.width
+        result = torch.zeros(len(weights), plane, dtype=torch.float64, device=weights.device)
+        result.index_add_(1, (self.places % plane).to(weights.device), weights.double())
+        return result.view(-1, self.height, self.width)
 
     def tensors(self) -> dict[str, Tensor]:
         """The places of the columns."""
@@ -184,6 +195,21 @@ class Rectangles:
         """Just these columns, in this order."""
         columns = columns.to(self.first.device)
         return Rectangles(self.height, self.width, self.first[columns], self.second[columns])
+
+    def footprint(self, weights: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows height width"]:
+        """Every column's weight spread evenly over its one or two boxes.
+
+        A box adds to four corners, of which two running sums make its area.
+        """
+        size = self.height + 1, self.width + 1
+        corners = torch.zeros(len(weights), size[0] * size[1], dtype=torch.float64, device=weights.device)
+        boxes = torch.stack([self.first, self.second]).to(weights.device).long()
+        area = (boxes[..., 3] * boxes[..., 4]).sum(0)
+        each = weights.double() / area.clamp(min=1)
+        for top, left, tall, wide in (part[:, 1:].unbind(1) for part in boxes):
+            for y, x, sign in ((0, 0, 1), (0, wide, -1), (tall, 0, -1), (tall, wide, 1)):
+                corners.index_add_(1, (top + y) * size[1] + left + x, sign * each)
+        return corners.view(-1, *size).cumsum(1).cumsum(2)[:, :-1, :-1].clamp_(min=0)
 
     def tensors(self) -> dict[str, Tensor]:
         """The boxes of the columns."""

@@ -84,8 +84,12 @@ class StoredDataset:
     @property
     def world(self) -> dict[str, Any]:
         """The world recorded from, of `WORLD_FILE`; {} where there is no such file."""
-        path = self.root / WORLD_FILE
-        return _read_json(path).get("world", {}) if path.exists() else {}
+        return self._recorded("world")
+
+    @property
+    def truth(self) -> dict[str, list[str]]:
+        """Columns of true labels with the names of their classes, of `WORLD_FILE`; {} where it names none."""
+        return self._recorded("truth")
 
     def largest(self, feature: str) -> int:
         """The largest value of a scalar feature by `meta/stats.json`; -1 where that does not say."""
@@ -146,6 +150,10 @@ class StoredDataset:
                 raise DatasetError(f"dataset {self.root}: {path.name} of {camera} lacks frame {min(wanted)}")
         assert images is not None
         return images
+
+    def _recorded(self, key: str) -> dict[str, Any]:
+        path = self.root / WORLD_FILE
+        return _read_json(path).get(key, {}) if path.exists() else {}
 
     def _data_file(self, row: dict[str, Any]) -> Path:
         return self.root / self.info["data_path"].format(

@@ -60,9 +60,9 @@ class Monitor:
         for macro in range(self._macros):
             share = float((labels == macro).float().mean())
             log(f"segmentation/{stage}/occupancy_{macro}", share)
-        if self._demonstrations.phase is not None:
-            agreement = frame_accuracy(labels.numpy(), self._demonstrations.phase)
-            log(f"segmentation/{stage}/agreement_with_phase", agreement)
+        if self._demonstrations.truth is not None:
+            agreement = frame_accuracy(labels.numpy(), self._demonstrations.truth)
+            log(f"segmentation/{stage}/agreement_with_truth", agreement)
 
     def close(self) -> None:
         """Finish the bar."""

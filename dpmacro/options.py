@@ -23,6 +23,8 @@ class DatasetOptions:
     """Episodes to use; all by default."""
     camera: str | None = None
     """Image feature to learn from, where the dataset has several."""
+    truth: str | None = None
+    """Integer column with the true macro-labels, for metrics only; by default the recorded one, if any."""
     mirror: bool = False
     """Whether to learn from the mirror image of every demonstration, too: turns left become turns right."""
     mirror_actions: list[list[int]] | None = None

@@ -39,6 +39,7 @@ class PolicyConfig:
     features: str  # kind of feature set
     switches: tuple[tuple[int, int], ...] = ()  # (from, to) of every switch function
     thresholds: tuple[float, ...] = ()  # a switch function fires above its own
+    max_transitions: int | None = None  # S of the segmentation it was trained on; None for Q - 1
     world: dict[str, Any] = field(default_factory=dict)  # {"id": ..., **options} of the demonstrations
 
     def __post_init__(self) -> None:
@@ -51,6 +52,7 @@ class PolicyConfig:
             "image_shape": len(self.image_shape) == 2
             and all(isinstance(size, int) for size in self.image_shape),
             "features": self.features in FEATURES,
+            "max_transitions": self.max_transitions is None or self.max_transitions >= 0,
             "world": isinstance(self.world, dict),
         }
         for name, holds in sound.items():

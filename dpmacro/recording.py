@@ -3,13 +3,15 @@
 import json
 import os
 import shutil
+import signal
 import sys
 import tempfile
+import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any
 from unittest.mock import patch
 
@@ -23,6 +25,7 @@ from dpmacro.lerobot_v3 import WORLD_FILE
 AVATAR = "observation.images.avatar"
 VIEW = "observation.images.view"
 TASK = "reach the blue flag, then the red flag"
+PHASES = {"phase": ("before blue", "after blue")}
 
 
 class DemonstrationWriter:
@@ -32,21 +35,36 @@ class DemonstrationWriter:
     interrupt removes what was written so far.
 
         with DemonstrationWriter.create(root, ("forward", "left", "right"), 30, world, view=False) as writer:
-            writer.add_episode(images, actions, phases, rewards, success)
+            writer.add_episode(images, actions, truth, rewards, success)
     """
 
-    def __init__(self, root: Path, action_names: Sequence[str], fps: int, world: dict[str, Any], view: bool):
+    def __init__(
+        self,
+        root: Path,
+        action_names: Sequence[str],
+        fps: int,
+        world: dict[str, Any],
+        view: bool,
+        classes: Mapping[str, Sequence[str]],
+    ):
         self.root = root
         self.action_names = tuple(action_names)
         self.fps = fps
         self.world = world
         self.view = view
+        self.classes = {name: tuple(of_column) for name, of_column in classes.items()}
         self._folder = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".partial", dir=root.parent))
         self._dataset: Any = None
 
     @classmethod
     def create(
-        cls, root: str | Path, action_names: Sequence[str], fps: int, world: dict[str, Any], view: bool
+        cls,
+        root: str | Path,
+        action_names: Sequence[str],
+        fps: int,
+        world: dict[str, Any],
+        view: bool,
+        classes: Mapping[str, Sequence[str]] = PHASES,
     ) -> "DemonstrationWriter":
         """A writer of a new dataset.
 
@@ -56,6 +74,8 @@ class DemonstrationWriter:
             fps: frames per second.
             world: {"id": of the world, **its options}, kept in `meta/dpmacro.json`.
             view: whether every episode comes with the avatar's view for people, stored as video.
+            classes: columns of true labels, each with the names of its labels 0..K-1, kept in
+                `meta/dpmacro.json`; readers take the first column as the truth.
 
         Raises DatasetError where `root` exists, and ValueError for fewer than two actions.
         """
@@ -64,48 +84,56 @@ class DemonstrationWriter:
             raise ValueError(f"action_names {tuple(action_names)}: LeRobot's tools need at least two actions")
         _refuse_existing(root)
         root.parent.mkdir(parents=True, exist_ok=True)
-        return cls(root, action_names, fps, world, view)
+        return cls(root, action_names, fps, world, view, classes)
 
     def add_episode(
         self,
         images: UInt8[np.ndarray, "frames height width 3"],
         actions: Int64[np.ndarray, " frames"],
-        phases: Int64[np.ndarray, " frames"],
+        truth: Mapping[str, Int64[np.ndarray, " frames"]],
         rewards: Float32[np.ndarray, " frames"],
         success: bool,
         views: UInt8[np.ndarray, "frames view_height view_width 3"] | None = None,
+        task: str = TASK,
     ) -> None:
         """Appends one episode; frame t holds the observation before action t, reward t what it earned.
 
-        Every episode has pictures of the same size. Raises ValueError for an action outside
-        0..M-1, for one frame only, and for views given or missing against what `create` was told.
+        `truth` holds the labels of every column that `create` was told; `task` says in words what the episode
+        is about. Every episode has pictures of the same size. Raises ValueError for an action outside
+        0..M-1, a true label outside 0..K-1, one frame only, and views given or missing against what
+        `create` was told.
         """
         if len(actions) < 2:
             raise ValueError(f"an episode of {len(actions)} frame; dpmacro needs at least two per episode")
-        if actions.min() < 0 or actions.max() >= len(self.action_names):
-            raise ValueError(
-                f"actions from {actions.min()} to {actions.max()}; there are {len(self.action_names)}, "
-                f"{', '.join(self.action_names)}"
-            )
+        for what, values, names in (
+            ("actions", actions, self.action_names),
+            *((name, truth[name], names) for name, names in self.classes.items()),
+        ):
+            if values.min() < 0 or values.max() >= len(names):
+                raise ValueError(
+                    f"{what} from {values.min()} to {values.max()}; there are {len(names)}, "
+                    f"{', '.join(names)}"
+                )
         if (views is not None) != self.view:
             raise ValueError(
                 f"views given: {views is not None}, but the dataset was created with {self.view=}"
             )
         if self._dataset is None:
-            self._dataset = self._open(images.shape[1:], None if views is None else views.shape[1:])
+            with _interrupt_held_back():
+                self._dataset = self._open(images.shape[1:], None if views is None else views.shape[1:])
         one_hot = np.eye(len(self.action_names), dtype=np.float32)
         last = len(actions) - 1
-        with _quiet():
+        with _interrupt_held_back(), _quiet():
             for t, action in enumerate(actions):
                 frame = {
                     AVATAR: images[t],
                     "action": one_hot[action],
                     "discrete_action": actions[t : t + 1],
-                    "phase": phases[t : t + 1],
+                    **{name: truth[name][t : t + 1] for name in self.classes},
                     "next.reward": rewards[t : t + 1],
                     "next.done": np.array([t == last]),
                     "next.success": np.array([t == last and success]),
-                    "task": TASK,
+                    "task": task,
                 }
                 if views is not None:
                     frame[VIEW] = views[t]
@@ -122,7 +150,8 @@ class DemonstrationWriter:
             raise ValueError(f"dataset {self.root}: no episode was added, so there is nothing to write")
         self._dataset.finalize()
         self._dataset = None
-        (self._data / WORLD_FILE).write_text(json.dumps({"world": self.world}, indent=2) + "\n")
+        recorded = {"world": self.world, "truth": self.classes}
+        (self._data / WORLD_FILE).write_text(json.dumps(recorded, indent=2) + "\n")
         shutil.rmtree(self._data / "images", ignore_errors=True)  # emptied by LeRobot, but left behind
         _refuse_existing(self.root)
         self._data.rename(self.root)
@@ -166,7 +195,7 @@ class DemonstrationWriter:
                 "names": list(self.action_names),
             },
             "discrete_action": {"dtype": "int64", "shape": (1,), "names": None},
-            "phase": {"dtype": "int64", "shape": (1,), "names": None},
+            **{name: {"dtype": "int64", "shape": (1,), "names": None} for name in self.classes},
             "next.reward": {"dtype": "float32", "shape": (1,), "names": None},
             "next.done": {"dtype": "bool", "shape": (1,), "names": None},
             "next.success": {"dtype": "bool", "shape": (1,), "names": None},
@@ -190,6 +219,23 @@ class DemonstrationWriter:
 def _refuse_existing(root: Path) -> None:
     if root.exists() or root.is_symlink():
         raise DatasetError(f"dataset {root}: exists already; remove it or give another --root")
+
+
+@contextmanager
+def _interrupt_held_back() -> Iterator[None]:
+    """Ctrl-C acts once the block is left: within, Hugging Face's `datasets` would now and then swallow it."""
+    handler = signal.getsignal(signal.SIGINT)
+    if not callable(handler) or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    caught: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: caught.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    if caught:
+        handler(*caught[0])
 
 
 @contextmanager

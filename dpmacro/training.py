@@ -192,6 +192,7 @@ class Trainer:
             features=self.options.planner.features,
             switches=tuple(switches.pairs),
             thresholds=tuple(switches.thresholds.tolist()),
+            max_transitions=self.options.planner.max_transitions,
             world=demonstrations.world,
         )
         return MacroPolicy.compact(config, features, quantiser, discovery.classifiers, switches.classifier)
@@ -201,7 +202,7 @@ class Trainer:
         demonstrations = self.demonstrations
         labels = discovery.labels.numpy()
         first = slice(0, int(demonstrations.lengths[0]))
-        truth = demonstrations.phase
+        truth = demonstrations.truth
         pictures = {
             "timeline": figures.timeline(
                 demonstrations.images[first],

@@ -14,7 +14,7 @@ def random_episodes(lengths=LENGTHS, seed=0, shape=(48, 64, 3)):
         yield {
             "images": rng.integers(0, 256, (length, *shape), np.uint8),
             "actions": rng.integers(0, len(ACTIONS), length),
-            "phases": np.arange(length) // (length // 2 + 1),
+            "truth": {"phase": np.arange(length) // (length // 2 + 1)},
             "rewards": rng.random(length, np.float32),
             "success": True,
         }

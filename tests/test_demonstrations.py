@@ -81,9 +81,8 @@ def actions_as(root, values, dtype, size):
 def expected():
     episodes = list(random_episodes())
     return {
-        name: np.concatenate([episode[name] for episode in episodes])
-        for name in ("images", "actions", "phases")
-    }
+        name: np.concatenate([episode[name] for episode in episodes]) for name in ("images", "actions")
+    } | {"truth": np.concatenate([episode["truth"]["phase"] for episode in episodes])}
 
 
 def test_what_was_recorded_comes_back_bit_for_bit(recorded):
@@ -91,7 +90,7 @@ def test_what_was_recorded_comes_back_bit_for_bit(recorded):
     wanted = expected()
     assert np.array_equal(loaded.images, wanted["images"])
     assert np.array_equal(loaded.actions, wanted["actions"])
-    assert loaded.phase is not None and np.array_equal(loaded.phase, wanted["phases"])
+    assert loaded.truth is not None and np.array_equal(loaded.truth, wanted["truth"])
     assert loaded.lengths.tolist() == list(LENGTHS)
     assert (loaded.action_names, loaded.fps, loaded.world, loaded.root) == (ACTIONS, 30, WORLD, recorded)
     assert [t.stop - t.start for t in loaded.trajectories] == list(LENGTHS)
@@ -107,7 +106,7 @@ def test_episodes_come_in_the_order_asked_for(recorded, indices):
     for some in (loaded, selected):
         assert np.array_equal(some.images, images)
         assert some.lengths.tolist() == [LENGTHS[index] for index in indices]
-        assert len(some.phase) == len(some.actions) == len(images)
+        assert len(some.truth) == len(some.actions) == len(images)
         assert some.action_names == ACTIONS
 
 
@@ -174,12 +173,79 @@ def test_names_of_numbers_do_not_depend_on_the_episodes_chosen(root):
     assert Demonstrations.load(root, episodes=[0]).action_names == ("0", "1", "2")
 
 
-def test_data_of_others_need_neither_phase_nor_world(root):
+def test_data_of_others_need_neither_truth_nor_world(root):
     edit_features(root, phase=None)
     (root / "meta/dpmacro.json").unlink()
     loaded = Demonstrations.load(root)
-    assert loaded.phase is None and loaded.select([1]).phase is None
+    assert loaded.truth is None and loaded.select([1]).truth is None
     assert loaded.world == {}
+
+
+WHOLE = {"dtype": "int64", "shape": [1], "names": None}
+
+
+def test_the_truth_is_the_recorded_column_and_has_its_names(recorded):
+    loaded = Demonstrations.load(recorded)
+    assert (loaded.truth_name, loaded.truth_classes) == ("phase", ("before blue", "after blue"))
+    both = loaded.select([1]).mirrored()
+    assert (both.truth_name, both.truth_classes) == ("phase", ("before blue", "after blue"))
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.int32, np.uint8, "vector"])
+def test_another_column_can_be_the_truth(root, dtype):
+    labels = np.arange(30) % 4
+    values = labels[:, None].tolist() if dtype == "vector" else labels.astype(dtype)
+    kind = "int64" if dtype == "vector" else np.dtype(dtype).name
+    set_column(root, "skill", values, WHOLE | {"dtype": kind})
+    loaded = Demonstrations.load(root, truth="skill")
+    assert loaded.truth.dtype == np.int64 and np.array_equal(loaded.truth, labels)
+    assert (loaded.truth_name, loaded.truth_classes) == ("skill", ("0", "1", "2", "3"))
+    assert Demonstrations.load(root).truth_name == "phase"
+
+
+def test_the_columns_of_actions_can_be_the_truth(recorded):
+    loaded = Demonstrations.load(recorded, truth="discrete_action")
+    assert np.array_equal(loaded.truth, loaded.actions)
+
+
+@pytest.mark.parametrize(
+    ("there", "chosen"),
+    [(("subgoal",), "subgoal"), (("subgoal", "phase"), "phase"), (("skill",), None)],
+)
+def test_data_of_others_may_have_a_truth_by_its_name(root, there, chosen):
+    (root / "meta/dpmacro.json").unlink()
+    edit_features(root, phase=None)
+    for name in there:
+        set_column(root, name, [0, 2] * 15, WHOLE)
+    loaded = Demonstrations.load(root)
+    assert loaded.truth_name == chosen
+    assert loaded.truth_classes == (() if chosen is None else ("0", "1", "2"))
+
+
+def test_a_column_of_no_whole_numbers_is_never_the_truth(root):
+    set_column(root, "phase", [0.5] * 30, WHOLE | {"dtype": "float32"})
+    assert Demonstrations.load(root).truth is None
+    with pytest.raises(DatasetError, match=r"no integer column 'phase' to be the truth"):
+        Demonstrations.load(root, truth="phase")
+
+
+def test_classes_do_not_depend_on_the_episodes_chosen(root):
+    labels = np.zeros(30, np.int64)
+    labels[29] = 2
+    set_column(root, "skill", labels, WHOLE)
+    edit_json(root / "meta/stats.json", skill={"max": [2]})
+    assert Demonstrations.load(root, episodes=[0], truth="skill").truth_classes == ("0", "1", "2")
+
+
+def test_labels_beyond_the_named_classes_are_numbers(root):
+    set_column(root, "phase", [0, 3] * 15)
+    assert Demonstrations.load(root).truth_classes == ("before blue", "after blue", "2", "3")
+
+
+def test_negative_labels_are_refused(root):
+    set_column(root, "skill", [0] * 7 + [-1] * 23, WHOLE)
+    with pytest.raises(DatasetError, match=r"skill -1 of frame 7 is negative; name another column as truth"):
+        Demonstrations.load(root, truth="skill")
 
 
 def test_the_lossless_camera_is_preferred_and_video_can_be_named(two_cameras):
@@ -306,6 +372,10 @@ def test_what_cannot_be_read_is_refused_in_one_line(root, case):
         ({"episodes": []}, r"episodes=\[\], give each wanted one once"),
         ({"episodes": [1, 1]}, r"episodes=\[1, 1\], give each"),
         ({"camera": "front"}, rf"no camera 'front'; it has {AVATAR}"),
+        (
+            {"truth": "skill"},
+            r"no integer column 'skill' to be the truth; it has discrete_action, phase, frame_index, ",
+        ),
     ],
 )
 def test_what_is_not_there_is_refused(recorded, options, message):
@@ -372,12 +442,12 @@ def test_mirror_images_follow_with_left_and_right_exchanged(recorded):
     for before, after in (
         (demonstrations.images, both.images),
         (demonstrations.actions, both.actions),
-        (demonstrations.phase, both.phase),
+        (demonstrations.truth, both.truth),
     ):
         assert np.array_equal(after[:n], before)
     assert np.array_equal(both.images[n:], np.flip(demonstrations.images, 2))
     assert np.array_equal(both.actions[n:], np.array([0, 2, 1])[demonstrations.actions])
-    assert np.array_equal(both.phase[n:], demonstrations.phase)
+    assert np.array_equal(both.truth[n:], demonstrations.truth)
     assert both.select([0, len(LENGTHS)]).mirror_images == 0
 
 

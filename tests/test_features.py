@@ -135,3 +135,38 @@ def test_quantiser_keeps_a_rare_extreme_apart():
 def test_bad_feature_options_are_named(kind, count, message):
     with pytest.raises(ValueError, match=message):
         make_features(kind, 48, 64, count, torch.Generator())
+
+
+@pytest.mark.parametrize("kind", FEATURES)
+def test_a_footprint_spreads_weights_evenly_over_the_pixels_of_a_column(kind):
+    generator = torch.Generator().manual_seed(4)
+    features = make_features(kind, 4, 5, 60, generator)
+    weights = torch.rand(2, features.count, generator=generator)
+    expected = torch.zeros(2, 4, 5, dtype=torch.float64)
+    for column in range(features.count):
+        one = features.select(torch.tensor([column]))
+        counts = torch.zeros(4, 5, dtype=torch.float64)
+        if kind == "pixels":
+            counts.view(-1)[one.places % 20] = 1
+        else:
+            for _, top, left, tall, wide in (*one.first.tolist(), *one.second.tolist()):
+                counts[top : top + tall, left : left + wide] += 1
+        expected += weights[:, column, None, None] * counts / counts.sum()
+    torch.testing.assert_close(features.footprint(weights), expected)
+    torch.testing.assert_close(features.footprint(weights).sum((1, 2)), weights.double().sum(1))
+
+
+@pytest.mark.parametrize("kind", FEATURES)
+def test_outside_its_footprint_a_column_sees_nothing(kind):
+    generator = torch.Generator().manual_seed(5)
+    features = make_features(kind, 6, 7, 20, generator)
+    images, previous = torch.randint(0, 256, (2, 1, 6, 7, 3), dtype=torch.uint8, generator=generator)
+    for column in range(features.count):
+        one = features.select(torch.tensor([column]))
+        seen = one.footprint(torch.ones(1, 1))[0] > 1e-12
+        noise = torch.randint(0, 256, (2, 6, 7, 3), dtype=torch.uint8, generator=generator)
+        other = [
+            torch.where(seen[..., None], image[0], change)[None]
+            for image, change in zip((images, previous), noise, strict=True)
+        ]
+        assert torch.equal(one.values(*other), one.values(images, previous))

@@ -1,8 +1,12 @@
-from itertools import combinations
+import io
+from collections import Counter
+from itertools import combinations, pairwise
 
 import matplotlib.image
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
@@ -10,13 +14,20 @@ from matplotlib.text import Text
 from dpmacro.figures import (
     OUTCOME_COLOURS,
     curves,
+    edge_counts,
+    elbow,
+    heat_maps,
     macro_colour,
     save,
+    selection_chart,
     success_chart,
     timeline,
     timelines,
     to_image,
+    to_png,
+    transition_graph,
 )
+from dpmacro.figures.style import faded
 
 
 def demonstration(frames, change):
@@ -38,6 +49,47 @@ def many_timelines():
     return timelines(labels, lengths, labels[::-1].copy(), "24 demonstrations")
 
 
+def busy_timeline():
+    images, _, actions, _ = demonstration(60, 1)
+    classes = np.repeat(np.arange(15), 4)
+    names = [f"subgoal number {number}" for number in range(15)]
+    confidence = np.linspace(0, 1, 60, dtype=np.float32)
+    return timeline(images, classes % 7, actions, classes, "Busy", (), "subgoal", names, confidence)
+
+
+def sure_timelines():
+    lengths = np.array([90, 30, 40])
+    labels, confidence = np.arange(160) // 40, np.linspace(0, 1, 160)
+    return timelines(labels, lengths, labels, "", "subgoal", ("open", "go"), confidence, [7, 123, 9])
+
+
+def points(bounds):
+    return [
+        {
+            "macros": q,
+            "max_transitions": s,
+            "error": 0.3 / q / s,
+            "low": 0.2 / q / s,
+            "high": 0.5,
+            "changes": s,
+        }
+        for q in (1, 2, 3)
+        for s in bounds(q)
+    ]
+
+
+def random_graph(macros):
+    labels = np.random.default_rng(0).integers(0, macros, 300)
+    return transition_graph(labels, np.full(60, 5), "Transitions")
+
+
+def random_heat(macros):
+    rng = np.random.default_rng(0)
+    return heat_maps(
+        rng.integers(0, 256, (macros, 6, 8, 3), np.uint8), rng.random((macros, 6, 8)), (), "Heat"
+    )
+
+
 OUTCOMES = {
     "baseline": {"success": 10, "red_first": 30, "red_never_reached": 10},
     "DPBoost, 2 macro-actions": {"success": 0, "blue_never_reached": 1},
@@ -54,6 +106,18 @@ PICTURES = {
     ),
     "one curve": lambda: curves({"loss": {"DPBoost": [1.0, 0.5]}}, "Training"),
     "success": lambda: success_chart(OUTCOMES, "TwoFlags-v0, random flags"),
+    "busy timeline": busy_timeline,
+    "sure timelines": sure_timelines,
+    "selection by bound": lambda: selection_chart(points(lambda q: range(1, 6)), 4, "Which Q and S"),
+    "selection by macros": lambda: selection_chart(points(lambda q: [q])),
+    "elbow": lambda: elbow(np.array([3.0, 1.0, 0.9]), 1, "Cost"),
+    "steep elbow": lambda: elbow(np.array([80.0, 1.0, 0.9]), 2),
+    "one bound": lambda: elbow(np.array([3.0])),
+    "graph of one": lambda: random_graph(1),
+    "graph of two": lambda: random_graph(2),
+    "graph of eight": lambda: random_graph(8),
+    "heat of one": lambda: random_heat(1),
+    "heat of five": lambda: random_heat(5),
 }
 
 
@@ -130,3 +194,119 @@ def test_save_writes_the_format_of_the_suffix(suffix, tmp_path):
     assert path.read_bytes().startswith(start)
     if suffix == ".png":
         assert matplotlib.image.imread(path).std() > 0.05
+
+
+def strip_of(figure, row):
+    """The pixels of a row of a timeline."""
+    image = to_image(figure)
+    box = figure.axes[row].get_window_extent()
+    return image[
+        len(image) - int(box.y1) + 2 : len(image) - int(box.y0) - 2, int(box.x0) + 2 : int(box.x1) - 2
+    ]
+
+
+def test_confidence_fades_a_colour_to_white():
+    images, labels, actions, _ = demonstration(900, 900)
+    for sure, colour in (
+        (1.0, macro_colour(0)),
+        (0.0, "white"),
+        (0.5, faded(np.array(to_rgb(macro_colour(0))), np.array(0.5))),
+    ):
+        figure = timeline(images, labels, actions, confidence=np.full(900, sure, np.float32))
+        assert coloured(strip_of(figure, 1), colour).mean() > 0.9
+
+
+def test_confidence_is_drawn_where_it_is():
+    confidence = (np.arange(900) < 300).astype(np.float32)
+    strip = strip_of(timeline(*demonstration(900, 900)[:3], confidence=confidence), 1)
+    sure = coloured(strip, macro_colour(0)).mean(0) > 0.5
+    assert sure.mean() == pytest.approx(1 / 3, abs=0.03) and sure[: len(sure) // 4].all()
+    page = to_image(timelines(np.zeros(900, np.int64), np.array([600, 300]), confidence=confidence))
+    widths = coloured(page, macro_colour(0)).sum(1)
+    assert (widths > 200).any() and not coloured(page[len(page) // 2 : -60], macro_colour(0)).any()
+
+
+@given(st.floats(0, 1), st.lists(st.floats(0, 1), min_size=3, max_size=3))
+def test_fading_goes_from_white_to_the_colour(confidence, colour):
+    rgb = np.array(colour)
+    result = faded(rgb[None], np.array([confidence]))[0]
+    assert np.allclose(result, confidence * rgb + (1 - confidence))
+    assert (faded(rgb[None], np.array([0.0])) == 1).all()
+
+
+def test_true_classes_are_named_where_there_is_room_and_in_the_legend():
+    images, labels, actions, truth = demonstration(900, 300)
+    texts = [text.get_text() for text in drawn_texts(timeline(images, labels, actions, truth))]
+    assert "true class" in texts and "0" in texts
+    names = ("before blue", "after blue")
+    figure = timeline(images, labels, actions, truth, "", (), "phase", names)
+    texts = [text.get_text() for text in drawn_texts(figure)]
+    assert (
+        "true phase" in texts
+        and set(names) <= set(texts)
+        and {"0: before blue", "1: after blue"} <= set(texts)
+    )
+    figure = sure_timelines()
+    to_image(figure)
+    texts = [text.get_text() for text in drawn_texts(figure)]
+    assert {"true: open", "true: go", "true subgoal 2", "7", "123", "9", "pale: unsure"} <= set(texts)
+
+
+@given(st.lists(st.lists(st.integers(0, 3), min_size=1, max_size=8), min_size=1, max_size=5))
+def test_edges_are_the_changes_between_stretches(trajectories):
+    expected = Counter()
+    for trajectory in trajectories:
+        expected["start", str(trajectory[0])] += 1
+        expected[str(trajectory[-1]), "end"] += 1
+        expected.update((str(a), str(b)) for a, b in pairwise(trajectory) if a != b)
+    lengths = np.array([len(trajectory) for trajectory in trajectories])
+    assert edge_counts(np.concatenate([np.array(part) for part in trajectories]), lengths) == expected
+
+
+def test_a_graph_shows_counts_and_shares():
+    labels = np.array([0, 0, 0, 1] * 3 + [0, 1, 0, 0])
+    texts = {text.get_text() for text in drawn_texts(transition_graph(labels, np.full(4, 4)))}
+    assert {"0\n75%", "1\n25%", "start", "end"} <= texts and {"4", "3", "1"} <= texts
+
+
+def test_heat_lies_on_the_weighted_pixel():
+    weights = np.zeros((2, 6, 8))
+    weights[0, 1, 6] = 5.0
+    figure = heat_maps(np.full((2, 6, 8, 3), 128, np.uint8), weights)
+    assert "macro-action 0" in [text.get_text() for text in drawn_texts(figure)]
+    hot = [figure.axes[place].images[-1].get_array() for place in (2, 3)]
+    assert hot[0][1, 6, 3] == 1 and hot[0][..., 3].sum() == 1 and not hot[1][..., 3].any()
+    red = hot[0][1, 6]
+    assert red[0] > 2 * red[1]
+
+
+def test_a_selection_has_a_line_for_every_number_of_macro_actions_and_marks_the_chosen():
+    rows = points(lambda q: range(1, 6))
+    figure = selection_chart(rows, 7)
+    errors, changes = figure.axes
+    assert len(errors.containers) == 3 and len(changes.lines) == 4
+    (marked,) = [line for line in errors.lines if line.get_markersize() == 15]
+    assert marked.get_ydata() == [rows[7]["error"]] and marked.get_xdata()[0] == pytest.approx(3, abs=0.2)
+    whiskers = np.array(errors.containers[1].lines[2][0].get_segments())[:, :, 1]
+    assert whiskers == pytest.approx(np.array([[row["low"], row["high"]] for row in rows[5:10]]))
+    over_macros = selection_chart(points(lambda q: [q]), 1)
+    assert len(over_macros.axes[0].containers) == 1
+    assert over_macros.axes[0].get_xlabel() == "macro-actions Q"
+    with pytest.raises(ValueError, match="no points"):
+        selection_chart([])
+
+
+def test_an_elbow_marks_its_bound():
+    axis = elbow(np.array([3.0, 1.0, 0.9]), 1).axes[0]
+    line, marked = axis.lines
+    assert line.get_ydata().tolist() == [3, 1, 0.9] and (marked.get_xdata(), marked.get_ydata()) == (
+        [1],
+        [1.0],
+    )
+
+
+def test_a_png_is_what_save_writes(tmp_path):
+    figure = elbow(np.array([3.0, 1.0]))
+    save(figure, tmp_path / "elbow.png")
+    pixels = [matplotlib.image.imread(file) for file in (tmp_path / "elbow.png", io.BytesIO(to_png(figure)))]
+    assert np.array_equal(*pixels)

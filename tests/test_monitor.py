@@ -19,7 +19,7 @@ def demonstrations():
         lengths=np.array([4]),
         action_names=("stay",),
         fps=10,
-        phase=None,
+        truth=None,
         world={},
         root=Path("nowhere"),
     )

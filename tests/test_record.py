@@ -42,7 +42,7 @@ def fake_run(record, seed):
     return record.Run(
         images=np.full((length, 48, 64, 3), seed, np.uint8),
         actions=np.full(length, seed % 3),
-        phases=np.zeros(length, np.int64),
+        truth={"phase": np.zeros(length, np.int64)},
         rewards=np.zeros(length, np.float32),
         views=None,
     )
@@ -106,7 +106,8 @@ def test_frames_hold_the_observation_before_their_action(record):
     )
     env = gym.make("TwoFlags-v0", **dict(FAST_WORLD[1:]))
     observation, info = env.reset(seed=seed)
-    for image, action, phase, reward in zip(run.images, run.actions, run.phases, run.rewards, strict=True):
+    phases = run.truth["phase"]
+    for image, action, phase, reward in zip(run.images, run.actions, phases, run.rewards, strict=True):
         assert np.array_equal(image, observation["pixels"]) and phase == info["phase"]
         observation, wanted, _, _, info = env.step(int(action))
         assert reward == wanted
@@ -121,7 +122,7 @@ def test_workers_record_what_one_process_sees(record, tmp_path):
     assert run.returncode == 0, error
     assert "kept 1 of" in out and "episode" in error
     recorded = Demonstrations.load(root)
-    assert set(recorded.phase) == {0, 1}
+    assert set(recorded.truth) == {0, 1}
     runs = (record.run_teacher(FAST_WORLD, False, seed) for seed in range(SHORT_SEED - 1, 200))
     wanted = next(run for run in runs if run is not None)
     assert np.array_equal(recorded.images, wanted.images)

@@ -1,8 +1,10 @@
 import json
 import os
+import signal
 import subprocess
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 
 import numpy as np
@@ -29,7 +31,7 @@ def test_lerobot_opens_and_indexes_what_was_written(recorded):
     item = dataset[last]
     assert np.array_equal(np.rint(item[AVATAR].numpy() * 255).transpose(1, 2, 0), first["images"][last])
     assert item["action"].argmax() == item["discrete_action"] == first["actions"][last]
-    assert item["phase"] == first["phases"][last]
+    assert item["phase"] == first["truth"]["phase"][last]
     assert item["next.reward"] == first["rewards"][last]
     assert item["next.done"] and item["next.success"]
     assert not dataset[last - 1]["next.done"] and not dataset[last - 1]["next.success"]
@@ -45,10 +47,31 @@ def test_lerobot_reads_the_view(tmp_path):
     assert view.shape == (3, 240, 320) and abs(float(view.mean()) - 90 / 255) < 0.03
 
 
+def test_columns_of_truth_and_tasks_are_as_told(tmp_path):
+    root = tmp_path / "d"
+    classes = {"subgoal": ("a", "b"), "purpose": ("c", "d", "e")}
+    with DemonstrationWriter.create(root, ACTIONS, 10, {}, view=False, classes=classes) as writer:
+        for index, episode in enumerate(random_episodes((4, 3))):
+            n = len(episode["actions"])
+            truth = {"subgoal": np.arange(n) % 2, "purpose": np.full(n, 2 - index)}
+            writer.add_episode(**episode | {"truth": truth}, task=f"task {index}")
+    stored = open_with_lerobot(root)
+    assert [stored[t]["task"] for t in (0, 3, 4, 6)] == ["task 0", "task 0", "task 1", "task 1"]
+    assert [int(stored[t]["subgoal"]) for t in range(7)] == [0, 1, 0, 1, 0, 1, 0]
+    assert [int(stored[t]["purpose"]) for t in range(7)] == [2, 2, 2, 2, 1, 1, 1]
+    assert "phase" not in stored.meta.features
+    loaded = Demonstrations.load(root)
+    assert (loaded.truth_name, loaded.truth_classes) == ("subgoal", ("a", "b"))
+    assert Demonstrations.load(root, truth="purpose").truth_classes == ("c", "d", "e")
+
+
 def test_nothing_but_the_dataset_is_left(recorded):
     assert [path.name for path in recorded.parent.iterdir()] == [recorded.name]
     assert sorted(path.name for path in recorded.iterdir()) == ["data", "meta"]
-    assert json.loads((recorded / "meta/dpmacro.json").read_text()) == {"world": WORLD}
+    assert json.loads((recorded / "meta/dpmacro.json").read_text()) == {
+        "world": WORLD,
+        "truth": {"phase": ["before blue", "after blue"]},
+    }
 
 
 @pytest.mark.parametrize(("error", "view"), [(KeyboardInterrupt, False), (RuntimeError, True)])
@@ -65,6 +88,38 @@ def test_an_interrupted_recording_leaves_nothing(tmp_path, monkeypatch, error, v
         raise error
     assert closed == [None]
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("call", [19, 20, 21, 22, 24, 44, 46])
+def test_an_interrupt_is_never_swallowed(tmp_path, monkeypatch, call):
+    """`datasets` hashes what it does, and takes any exception there for something that has no hash."""
+    from datasets.fingerprint import Hasher
+
+    calls = []
+    update = Hasher.update
+
+    def interrupted(hasher, value):
+        calls.append(value)
+        if len(calls) == call:
+            os.kill(os.getpid(), signal.SIGINT)
+        update(hasher, value)
+
+    monkeypatch.setattr(Hasher, "update", interrupted)
+    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view=False)
+    handler = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), writer:
+        for episode in random_episodes():
+            writer.add_episode(**episode)
+    assert len(calls) >= call and list(tmp_path.iterdir()) == []
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_episodes_may_be_added_in_any_thread(tmp_path):
+    root = tmp_path / "d"
+    writer = DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False)
+    with writer, ThreadPoolExecutor(1) as pool:
+        pool.submit(writer.add_episode, **next(random_episodes())).result()
+    assert len(Demonstrations.load(root).actions) == LENGTHS[0]
 
 
 def test_a_recording_without_episodes_leaves_nothing(tmp_path):
@@ -93,9 +148,11 @@ def test_what_exists_is_never_overwritten(tmp_path):
     [
         ({"actions": np.full(12, 3)}, r"actions from 3 to 3; there are 3, forward"),
         ({"actions": np.full(12, -1)}, r"actions from -1 to -1"),
+        ({"truth": {"phase": np.full(12, 2)}}, r"phase from 2 to 2; there are 2, before blue, after blue"),
         ({"views": np.zeros((12, 240, 320, 3), np.uint8)}, r"views given: True"),
         (
-            {name: value[:1] for name, value in next(random_episodes()).items() if name != "success"},
+            {name: next(random_episodes())[name][:1] for name in ("images", "actions", "rewards")}
+            | {"truth": {"phase": np.zeros(1, np.int64)}},
             r"1 frame",
         ),
     ],

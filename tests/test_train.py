@@ -70,7 +70,7 @@ def test_tensorboard_has_the_quantities_of_every_stage(trained):
         "mean_segment_frames",
         "occupancy_0",
         "occupancy_1",
-        "agreement_with_phase",
+        "agreement_with_truth",
     ):
         assert f"segmentation/fit/{name}" in scalars
     assert set(events.Tags()["images"]) == {
@@ -162,6 +162,7 @@ def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monke
 MISTAKES = {
     "no root": ([], "give --dataset.root="),
     "missing dataset": (["--dataset.root={tmp}/nowhere"], "nowhere"),
+    "missing truth": (["--dataset.root={data}", "--dataset.truth=skill"], "no integer column 'skill'"),
     "missing episode": (["--dataset.root={data}", "--dataset.episodes=[7]"], "7"),
     "unknown option": (["--dataset.root={data}", "--planner.macro=2"], r"did you mean --planner\.macros\?"),
     "unreadable value": (["--dataset.root={data}", "--planner.macros=two"], "planner.macros"),

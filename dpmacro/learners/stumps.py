@@ -72,6 +72,12 @@ class StumpClassifier:
         """The columns that any stump with a vote looks at, ascending."""
         return self.columns[(self.votes != 0).any(3).any(2)].unique()
 
+    def importances(self, n_columns: int) -> Float[Tensor, "problems columns"]:
+        """sum_t sum_m |step of h_t^m at its threshold| of the stumps on each of `n_columns` columns."""
+        steps = (self.votes[:, :, 1] - self.votes[:, :, 0]).abs().sum(2)
+        result = steps.new_zeros(steps.shape[1], n_columns)
+        return result.scatter_add_(1, self.columns.T, steps.T)
+
     def renumbered(self, columns: Int64[Tensor, " kept"]) -> "StumpClassifier":
         """The same classifiers for levels that hold only `columns` (ascending)."""
         places = torch.searchsorted(columns, self.columns).clamp(max=max(len(columns) - 1, 0))

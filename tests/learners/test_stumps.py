@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dpmacro.learners import Frames
 from dpmacro.learners.sorting import LEVELS, SortedLevels
-from dpmacro.learners.stumps import StumpLearner
+from dpmacro.learners.stumps import StumpClassifier, StumpLearner
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 
@@ -168,3 +168,14 @@ def test_options_out_of_range_are_named(option):
 def test_columns_that_are_not_sorted_can_only_be_drawn():
     with pytest.raises(ValueError, match="drawn is 0 but no column is sorted"):
         StumpLearner(SortedLevels.unsorted(torch.zeros(2, 3, dtype=torch.uint8)))
+
+
+def test_importances_are_the_steps_of_the_votes_on_each_column():
+    votes = torch.zeros(3, 2, 2, 2)
+    votes[0, 0] = torch.tensor([[1.0, -1.0], [-0.5, 2.0]])  # steps of 1.5 and 3
+    votes[1, 0, 1] = torch.tensor([0.25, 0.0])
+    votes[2, 1] = 7.0  # the same on both sides: no step
+    columns = torch.tensor([[4, 0], [4, 1], [2, 3]])
+    strong = StumpClassifier(columns, torch.zeros(3, 2, dtype=torch.uint8), votes)
+    assert strong.importances(5).tolist() == [[0, 0, 0, 0, 4.75], [0] * 5]
+    assert strong.select(torch.tensor([1, 0])).importances(6)[1, 4] == 4.75

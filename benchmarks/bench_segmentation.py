@@ -1,0 +1,195 @@
+"""Segmentations of demonstrations whose truth is known, ours beside those of other methods, as one table.
+
+python benchmarks/bench_segmentation.py --sources='[digits]' --methods='[dpmacro, GaussianHMM]' --seeds='[0]'
+
+The rows (source, case, seed, method, metric, value) are written after every segmentation; what is there
+already, of the same data, is not found anew without --fresh=true. A method that is not installed is skipped.
+"""
+
+import json
+import shlex
+import signal
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from report import header
+from segmentation_peers import PEERS, Found
+from segmentation_sources import TOLERANCES, Source, check_recorded, sources
+from tqdm import tqdm
+
+from dpmacro import cli
+from dpmacro.columns import Plan, prepare
+from dpmacro.discovery import DPBoost
+from dpmacro.features import make_features
+from dpmacro.files import replacing
+from dpmacro.metrics import segmentation_scores
+from dpmacro.options import PlannerOptions
+
+NOTES = """\
+Means over n seeds, which on digits draw the data, too. Every method is told Q; dpmacro, as its bound, the
+largest true number of changes, KernelCPD that of every trajectory. Settings of the peers are chosen by the
+truth (benchmarks/segmentation_peers.py says from what), those of dpmacro are the defaults. Uniform and random
+cuts have the true labels in their true order. A boundary may be off by `tolerance` frames."""
+COLUMNS = {  # metric: heading
+    "accuracy": "accuracy",
+    "boundary_f1": "boundary F1",
+    "precision": "precision",
+    "recall": "recall",
+    "edit": "edit",
+    "f1_10": "F1@10",
+    "f1_25": "F1@25",
+    "f1_50": "F1@50",
+    "nmi": "NMI",
+    "ari": "ARI",
+    "segments": "segments",
+}
+COUNTS = ("segments", "true_segments")
+KEY = ("source", "case", "data", "seed", "method")
+
+Row = dict[str, Any]
+
+
+def dpmacro(source: Source, seed: int, quick: bool) -> Found:
+    """DPBoost as train.py runs it by default, told Q and the largest number of changes in a trajectory.
+
+    Images become the default's rectangles; numbers are taken as they are.
+    """
+    data: Any = source.frames
+    if source.frames.ndim == 4:
+        generator = torch.Generator().manual_seed(seed)
+        planner, (height, width) = PlannerOptions(), source.frames.shape[1:3]
+        features = make_features(planner.features, height, width, planner.rectangles, generator)
+        plan = Plan(features.count, features.count, 0, planner.memory_limit)
+        images, lengths = torch.from_numpy(source.frames), torch.from_numpy(source.lengths)
+        data = prepare(images, lengths, features, plan, generator)[2]
+    macros, bound = source.macros, max(source.changes)
+    small = {"rounds": 10, "restarts": 4, "discovery_rounds": 10} if quick else {}
+    found = DPBoost(macros, bound, seed=seed, **small).fit(data, source.actions, source.lengths)
+    return Found(found.labels.numpy(), f"Q={macros}, S={bound}")
+
+
+METHODS: dict[str, Callable[[Source, int, bool], Found]] = {"dpmacro": dpmacro, **PEERS}
+
+
+@dataclass(frozen=True)
+class BenchOptions:
+    """What to segment, and how."""
+
+    sources: list[str] = field(default_factory=lambda: list(TOLERANCES))
+    """Data to segment: digits, two_flags, babyai."""
+    methods: list[str] = field(default_factory=lambda: list(METHODS))
+    """dpmacro, GaussianHMM, AR-HMM, regression HMM, KernelCPD, k-means, uniform cuts, random cuts."""
+    seeds: list[int] = field(default_factory=lambda: list(range(5)))
+    """Seeds of the methods, and of the digits."""
+    quick: bool = False
+    """Little data and few settings: shows that everything runs, not how well; rows go to *_quick.json."""
+    fresh: bool = False
+    """Whether to find anew what there are rows of."""
+    two_flags: Path = Path("datasets/two_flags_random")
+    """Recorded demonstrations of TwoFlags."""
+    babyai: Path = Path("datasets/babyai")
+    """Folder of recorded BabyAI levels."""
+    truth: str = "subgoal"
+    """Column of theirs that is the truth: subgoal, or purpose."""
+    output: Path = Path("outputs/bench_segmentation.json")
+    """Where the rows go."""
+
+    def __post_init__(self) -> None:
+        for name, choices in (("sources", list(TOLERANCES)), ("methods", list(METHODS))):
+            for value in getattr(self, name):
+                if value not in choices:
+                    raise ValueError(f"{name} has {value!r}: choose from {', '.join(choices)}")
+        for seed in self.seeds:
+            if seed < 0:
+                raise ValueError(f"seeds has {seed}: give 0 or more")
+
+    @property
+    def rows(self) -> Path:
+        """The file of rows; a quick run has one of its own."""
+        return self.output.with_stem(self.output.stem + "_quick") if self.quick else self.output
+
+
+def main(options: BenchOptions) -> None:
+    """Segment and score, writing the rows as they come; print the table, also of an interrupted run."""
+    check_recorded(options.sources, options.two_flags, options.babyai)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    print("\n".join(header(shlex.join(["python", *sys.orig_argv[1:]]))), flush=True)
+    rows = _read(options.rows)
+    wanted: list[tuple[str, ...]] = []
+    missing: dict[str, str] = {}
+    try:
+        with tqdm(unit="segmentation") as bar:
+            where = options.two_flags, options.babyai, options.truth
+            for seed, source in sources(options.sources, options.seeds, *where, options.quick):
+                bar.total = (bar.total or 0) + len(options.methods)
+                for method in options.methods:
+                    bar.set_postfix_str(f"{source.name} {source.case}, seed {seed}, {method}")
+                    key = source.name, source.case, source.digest, seed, method
+                    wanted.append(key)
+                    if options.fresh or key not in rows:
+                        try:
+                            rows[key] = _score(key, source, METHODS[method](source, seed, options.quick))
+                            _write(rows, options.rows)
+                        except ModuleNotFoundError as error:
+                            missing[method] = str(error.name)
+                    bar.update()
+    finally:
+        print("\n".join(table([row for key in wanted for row in rows.get(key, [])])))
+        print(NOTES)
+        for method, module in missing.items():
+            print(f"skipped {method}: no module {module}; pip install 'dpmacro[bench]' brings every peer")
+        print(f"rows     {options.rows}")
+
+
+def table(rows: Iterable[Row]) -> list[str]:
+    """For every case the means over seeds, a line a method, and what tolerance they are at."""
+    values: dict[tuple[str, str], dict[str, dict[str, list[float]]]] = {}
+    for row in rows:
+        case = values.setdefault((row["source"], row["case"]), {})
+        case.setdefault(row["method"], defaultdict(list))[row["metric"]].append(row["value"])
+    lines = []
+    for (source, name), methods in values.items():
+        true = np.mean([one for found in methods.values() for one in found["true_segments"]])
+        lines += ["", f"{source} {name}: {true:g} true segments, tolerance {TOLERANCES[source]}"]
+        lines.append("  ".join([f"{'method':<14}", " n", *COLUMNS.values()]))
+        for method, found in methods.items():
+            cells = [
+                f"{np.mean(found[metric]):{len(heading)}.{1 if metric in COUNTS else 3}f}"
+                for metric, heading in COLUMNS.items()
+            ]
+            lines.append("  ".join([f"{method:<14}", f"{len(found['accuracy']):2}", *cells]))
+    return lines
+
+
+def _score(key: tuple[Any, ...], source: Source, found: Found) -> list[Row]:
+    """A row for every metric."""
+    scores = segmentation_scores(found.labels, source.truth, source.lengths, source.tolerance)
+    shared = dict(zip(KEY, key, strict=True)) | {"setting": found.setting, "tolerance": source.tolerance}
+    return [shared | {"metric": metric, "value": value} for metric, value in asdict(scores).items()]
+
+
+def _read(path: Path) -> dict[tuple[Any, ...], list[Row]]:
+    """The rows of every segmentation in the file, if it is there. Raises ValueError where it is another's."""
+    rows: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+    if path.exists():
+        try:
+            for row in json.loads(path.read_text()):
+                rows[tuple(row[name] for name in KEY)].append(row)
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{path} holds no rows of this benchmark: give another --output") from error
+    return dict(rows)
+
+
+def _write(rows: dict[tuple[Any, ...], list[Row]], path: Path) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps([row for found in rows.values() for row in found], indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    cli.run(main, BenchOptions)

@@ -1,0 +1,165 @@
+"""Training curves, success rates, and how the numbers of macro-actions and transitions were chosen."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, PercentFormatter
+
+from dpmacro.figures.style import INK, PALETTE, WIDTH, bare, legend, plain, set_title
+from dpmacro.outcomes import wilson_interval
+
+OUTCOME_COLOURS = {
+    "success": "#009E73",
+    "red_first": "#D55E00",
+    "blue_never_reached": "#56B4E9",
+    "red_never_reached": "#CC79A7",
+}
+CHOSEN: dict[str, Any] = {"marker": "o", "markersize": 15, "markerfacecolor": "none", "linestyle": ""}
+LOGARITHMIC = 10  # times the least: costs beyond that would flatten the bend
+DODGE = 0.07  # between the error bars of neighbouring lines
+
+
+def curves(
+    panels: Mapping[str, Mapping[str, Sequence[float]]], title: str = "", x_name: str = "round"
+) -> Figure:
+    """Training curves: a panel for every quantity, in it a named line for every run, one value a round."""
+    columns = 2 if len(panels) == 4 else min(len(panels), 3)
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(WIDTH * columns / 3 + 1, 3.1 * rows + 0.5), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    colour_of = {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(_names(panels.values()))}
+    for axis, (quantity, lines) in zip(axes, panels.items(), strict=False):
+        for name, values in lines.items():
+            axis.plot(range(1, len(values) + 1), values, color=colour_of[name], linewidth=1.8)
+        _panel(axis, quantity, x_name)
+    for axis in axes[len(panels) :]:
+        axis.set_visible(False)
+    legend(figure, list(colour_of.values()), list(colour_of))
+    set_title(figure, title)
+    return figure
+
+
+def success_chart(outcomes: Mapping[str, Mapping[str, int]], title: str = "") -> Figure:
+    """Success table and bars in one: a line for every planner, its runs split by outcome.
+
+    Args:
+        outcomes: planner's name -> outcome -> number of runs, with "success" among the outcomes. Whiskers
+            are the 95% Wilson interval of the success rate.
+        title: above all.
+    """
+    figure = Figure(figsize=(WIDTH, 1.5 + 0.55 * len(outcomes)), layout="constrained")
+    axis = figure.subplots()
+    kinds = [kind for kind in OUTCOME_COLOURS if any(kind in counts for counts in outcomes.values())]
+    for row, counts in enumerate(outcomes.values()):
+        runs, successes = sum(counts.values()), counts.get("success", 0)
+        left = 0.0
+        for kind in kinds:
+            share = counts.get(kind, 0) / runs
+            axis.barh(row, share, left=left, height=0.62, color=OUTCOME_COLOURS[kind], edgecolor="white")
+            left += share
+        low, high = wilson_interval(successes, runs)
+        rate = successes / runs
+        axis.errorbar(rate, row, xerr=[[rate - low], [high - rate]], color=INK, capsize=5, linewidth=1.6)
+        text = f"{successes} of {runs}   {rate:.0%}   ({low:.0%} to {high:.0%})"
+        axis.text(1.02, row, text, va="center", color=INK)
+    bare(axis)
+    axis.tick_params(axis="both", length=0, labelleft=True, labelbottom=True)
+    axis.set_yticks(range(len(outcomes)), list(outcomes))
+    axis.set_ylim(len(outcomes) - 0.5, -0.5)
+    axis.set_xlim(0, 1)
+    axis.xaxis.set_major_formatter(PercentFormatter(1.0))
+    axis.set_xlabel("share of runs, whiskers: 95% interval of the success rate")
+    legend(figure, [OUTCOME_COLOURS[kind] for kind in kinds], [kind.replace("_", " ") for kind in kinds])
+    set_title(figure, title)
+    return figure
+
+
+def selection_chart(points: Sequence[Any], chosen: int | None = None, title: str = "") -> Figure:
+    """How numbers of macro-actions Q and bounds on transitions S compare: their error, and what they used.
+
+    Args:
+        points: dataclasses or mappings with `macros`, `max_transitions`, `error` in 0..1, its interval `low`
+            to `high`, and `changes`, the transitions per trajectory that were used. With several bounds for
+            some number of macro-actions there is a line for every number, over the bound; else one over Q.
+        chosen: the place in `points` of the one to mark.
+        title: above all.
+
+    Raises ValueError where there is no point.
+    """
+    rows = [dict(point) if isinstance(point, Mapping) else vars(point) for point in points]
+    if not rows:
+        raise ValueError("there are no points: give one at least")
+    over_bound = len({row["macros"] for row in rows}) < len(rows)
+    x_name = "max_transitions" if over_bound else "macros"
+    lines = sorted({row["macros"] for row in rows}) if over_bound else [None]
+    places = [
+        row[x_name] + (lines.index(row["macros"]) - (len(lines) - 1) / 2) * DODGE
+        if over_bound
+        else row[x_name]
+        for row in rows
+    ]
+    figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+    errors, changes = figure.subplots(1, 2)
+    for colour, macros in zip(_cycle(len(lines)), lines, strict=True):
+        line = [(x, row) for x, row in zip(places, rows, strict=True) if macros in (None, row["macros"])]
+        line.sort(key=lambda pair: pair[0])
+        x, error = [x for x, _ in line], [row["error"] for _, row in line]
+        whiskers = [[row["error"] - row["low"], row["high"] - row["error"]] for _, row in line]
+        style: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 5, "linewidth": 1.8}
+        errors.errorbar(x, error, yerr=np.clip(whiskers, 0, None).T, capsize=4, **style)
+        changes.plot(x, [row["changes"] for _, row in line], **style)
+    if chosen is not None:
+        for axis, quantity in ((errors, "error"), (changes, "changes")):
+            axis.plot(places[chosen], rows[chosen][quantity], color=INK, **CHOSEN)
+    named = "bound S on transitions" if over_bound else "macro-actions Q"
+    _panel(errors, "error, with its interval" + _marked(chosen), named)
+    _panel(changes, "transitions used per demonstration", named)
+    errors.yaxis.set_major_formatter(PercentFormatter(1.0))
+    for axis in (errors, changes):
+        axis.set_ylim(bottom=min(0, axis.get_ylim()[0]))
+        axis.margins(x=0.08)
+    if over_bound:
+        legend(figure, _cycle(len(lines)), [f"{macros} macro-action{'s'[: macros != 1]}" for macros in lines])
+    set_title(figure, title)
+    return figure
+
+
+def elbow(cost_by_bound: Float[np.ndarray, " bounds"], chosen: int | None = None, title: str = "") -> Figure:
+    """Cost per frame of the best segmentation under every bound S = 0.. on transitions, `chosen` marked."""
+    figure = Figure(figsize=(WIDTH * 0.6, 3.6), layout="constrained")
+    axis = figure.subplots()
+    axis.plot(cost_by_bound, color=PALETTE[0], marker="o", markersize=5, linewidth=1.8)
+    if chosen is not None:
+        axis.plot(chosen, cost_by_bound[chosen], color=INK, **CHOSEN)
+    _panel(axis, "cost per frame" + _marked(chosen), "bound S on transitions in a demonstration")
+    axis.margins(x=0.08)
+    if cost_by_bound.min() > 0 and cost_by_bound.max() > LOGARITHMIC * cost_by_bound.min():
+        axis.set_yscale("log")
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(NullFormatter())
+    set_title(figure, title)
+    return figure
+
+
+def _panel(axis: Axes, quantity: str, x_name: str) -> None:
+    axis.set_title(quantity, fontsize=11, loc="left", color=INK)
+    axis.set_xlabel(x_name)
+    axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    plain(axis)
+
+
+def _marked(chosen: int | None) -> str:
+    return "" if chosen is None else " (circle: chosen)"
+
+
+def _cycle(count: int) -> list[str]:
+    return [PALETTE[place % len(PALETTE)] for place in range(count)]
+
+
+def _names(lines: Iterable[Mapping[str, Sequence[float]]]) -> list[str]:
+    return list(dict.fromkeys(name for panel in lines for name in panel))

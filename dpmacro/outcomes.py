@@ -1,0 +1,72 @@
+"""How runs ended: success rates with their uncertainty."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+from statistics import NormalDist
+
+
+@dataclass(frozen=True)
+class SuccessSummary:
+    """Outcomes of runs.
+
+    Attributes:
+        successes, runs: counts.
+        interval: 95% Wilson interval of the success rate, in 0..1.
+        endings: (outcome, phase, macro-action) at the end of a failed run and how often, most frequent first.
+    """
+
+    successes: int
+    runs: int
+    interval: tuple[float, float]
+    endings: dict[tuple[str, int, int], int]
+
+    @property
+    def rate(self) -> float:
+        """Successes per run, in 0..1."""
+        return self.successes / self.runs
+
+
+def wilson_interval(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of a success rate, in 0..1, that keeps its meaning at 0 and at 100% (Wilson 1927).
+
+        (p + z^2/2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2/n),  p = successes / n,  n = runs.
+
+    Raises:
+        ValueError: no runs, successes outside 0..runs, or a confidence outside (0, 1).
+    """
+    if runs < 1 or not 0 <= successes <= runs:
+        raise ValueError(f"an interval needs runs >= 1 and 0 <= successes <= runs, got {successes} of {runs}")
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence is {confidence}, it must lie between 0 and 1, as 0.95 does")
+    z = NormalDist().inv_cdf((1 + confidence) / 2)
+    rate = successes / runs
+    centre = rate + z**2 / (2 * runs)
+    margin = z * sqrt(rate * (1 - rate) / runs + z**2 / (4 * runs**2))
+    scale = 1 + z**2 / runs
+    # At 0 and at 100% rounding could leave the rate itself a hair outside.
+    return max(0.0, min(rate, (centre - margin) / scale)), min(1.0, max(rate, (centre + margin) / scale))
+
+
+def success_summary(
+    outcomes: Sequence[str], last_phases: Sequence[int], last_macros: Sequence[int]
+) -> SuccessSummary:
+    """Counts of outcomes, the failed ones by the phase and macro-action they ended in.
+
+    Args:
+        outcomes: "success" or the name of a failure, one per run.
+        last_phases, last_macros: of the last step of each run; macro-action -1 where there is none.
+
+    Raises:
+        ValueError: no runs, or sequences of different lengths.
+    """
+    if not len(outcomes) == len(last_phases) == len(last_macros):
+        raise ValueError(
+            f"{len(outcomes)} outcomes, {len(last_phases)} phases and {len(last_macros)} macro-actions: "
+            "every run needs one of each"
+        )
+    endings = Counter(zip(outcomes, last_phases, last_macros, strict=True))
+    successes = sum(outcome == "success" for outcome in outcomes)
+    failures = {ending: count for ending, count in endings.most_common() if ending[0] != "success"}
+    return SuccessSummary(successes, len(outcomes), wilson_interval(successes, len(outcomes)), failures)
