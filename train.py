@@ -12,6 +12,7 @@ import time
 import numpy as np
 
 from dpmacro import cli
+from dpmacro.choosing import Choice
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.metrics import boundary_offsets, frame_accuracy
 from dpmacro.options import TrainOptions
@@ -37,7 +38,8 @@ def main(options: TrainOptions) -> None:
 def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     """What was found, for people."""
     occupancy = result.discovery.labels.bincount(minlength=result.policy.config.macros).tolist()
-    lines = [
+    lines = [] if result.choice is None else choice_report(result.choice)
+    lines += [
         f"objective    {float(result.discovery.loss[-1]):.4f} a frame, {len(result.discovery.loss)} rounds"
     ]
     lines += [f"macro {macro}      {frames} frames" for macro, frames in enumerate(occupancy)]
@@ -56,6 +58,22 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     ]
     lines += [f"TensorBoard  tensorboard --logdir={folder.tensorboard}"]
     return "\n".join(lines)
+
+
+def choice_report(choice: Choice) -> list[str]:
+    """How the number of macro-actions was chosen."""
+    lines = ["             gain over one macro-action on left-out data, nats a frame (standard error)"]
+    for place, point in enumerate(choice.points):
+        ending = ", cannot be run: changes are not recognised" * (not point.runnable) + " <-" * (
+            place == choice.place
+        )
+        lines.append(
+            f"Q={point.macros} S={point.max_transitions}      {point.gain:+.4f} ({point.error:.4f}), "
+            f"{point.changes:.1f} transitions a demonstration{ending}"
+        )
+    if choice.place is None:
+        lines.append("chosen       one macro-action: no other gains anything")
+    return lines
 
 
 def truth_report(labels: np.ndarray, demonstrations: Demonstrations) -> str:

@@ -1,4 +1,4 @@
-"""Macro-labels for demonstrations, new or old, from a saved policy: the segmentation that its classifiers want."""
+"""Macro-labels for demonstrations, new or old: the segmentation that a saved policy's classifiers want."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,9 @@ class Annotation:
     cost_by_bound: Float[Tensor, "trajectories bounds"]  # exponential loss with at most s = 0..S transitions
 
 
-def annotate(policy: MacroPolicy, demonstrations: Demonstrations, max_transitions: int | None = None) -> Annotation:
+def annotate(
+    policy: MacroPolicy, demonstrations: Demonstrations, max_transitions: int | None = None
+) -> Annotation:
     """The macro-labels under which the policy's strong classifiers explain the actions best, in hindsight.
 
     With the costs c_n(q) of the policy's classifiers the bounded segmentation is exact. The confidence of a

@@ -4,8 +4,8 @@
 
 in every trajectory (Lefakis and Fleuret, Section III). The objective has many local optima, so the
 alternation starts from many seeded initial segmentations side by side, on a few dozen random
-columns a round. Left-out trajectories choose among the distinct outcomes, and the chosen one is
-refitted with the exact learner.
+columns a round. Left-out trajectories judge the distinct outcomes and what switch functions make of the
+best of them (dpmacro/joint.py); the chosen one is refitted with the exact learner.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,52 +16,97 @@ import torch
 from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
+from dpmacro.alternation import Alternated, SwitchCosts, alternate
 from dpmacro.boosting import Boosting, Round, class_targets
-from dpmacro.initial import feature_peaks, random_cuts
+from dpmacro.initial import action_events, initial_segmentations
+from dpmacro.joint import resegmented, switch_costs
 from dpmacro.learners import Frames, StrongClassifier, WeakLearner
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
 from dpmacro.quantising import Quantiser
-from dpmacro.segmentation import segment
-from dpmacro.selection import Verdict, best_verdict, distinct, judge
+from dpmacro.segmentation import segment, transition_counts
+from dpmacro.selection import (
+    Judged,
+    Task,
+    Verdict,
+    best_verdict,
+    confidence,
+    distinct,
+    judge,
+    left_out_charges,
+)
 from dpmacro.stopping import validated_rounds
 
-__all__ = ["Candidates", "DPBoost", "DPBoostResult"]
+__all__ = ["DPBoost", "DPBoostResult", "Search"]
 
-ROUNDING = 1e-4  # relative; scores are float32
+SWEEPS = 3  # in which switch functions cut
+REFINED = 4  # rivals anew
 
 
 @dataclass(frozen=True)
-class Candidates:
-    """Where the alternation ended from every initial segmentation."""
+class Search:
+    """Rival segmentations and what left-out data says of them."""
 
-    labels: Int64[Tensor, "restarts frames"]
-    loss: Float[Tensor, "rounds restarts"]  # objective per frame after every round
+    task: Task
+    candidates: Alternated  # from every initial segmentation
+    judged: tuple[Judged, ...]  # outcomes, then what the switch functions made of the best of them
+    best: int  # the one to keep, a place in `judged`
+
+    @property
+    def macros(self) -> int:
+        """Q, of which some may not be used."""
+        return self.task.macros
+
+    @property
+    def max_transitions(self) -> int:
+        """S, no more than the longest trajectory allows."""
+        return self.task.max_transitions
+
+    @property
+    def changes(self) -> float:
+        """Transitions per trajectory of the segmentation to keep."""
+        return float(transition_counts(self.kept.labels, self.task.lengths).float().mean())
+
+    @property
+    def cost_by_bound(self) -> Float[Tensor, " bounds"]:
+        """Nats a frame that left-out classifiers charge the best segmentation under each bound 0, 1, ..."""
+        charges = left_out_charges(self.kept, self.task)
+        bound = min(2 * self.max_transitions + 2, int(self.task.lengths.max()) - 1)
+        return segment(charges, self.task.lengths, bound).cost_by_bound.sum(0) / len(charges)
+
+    @property
+    def kept(self) -> Judged:
+        """The one to keep."""
+        return self.judged[self.best]
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """What left-out data says of each that was judged."""
+        return tuple(rival.verdict for rival in self.judged)
 
 
 @dataclass(frozen=True)
 class DPBoostResult:
     """A segmentation and what explains it."""
 
-    labels: Int64[Tensor, " frames"]  # macro-action of every frame, 0..Q-1
+    labels: Int64[Tensor, " frames"]  # macro-action of every frame, 0..Q-1, each used
+    confidence: Float[
+        Tensor, " frames"
+    ]  # 0..1, how sure classifiers that never saw the frame are of its label
     loss: Float[Tensor, " rounds"]  # objective per frame after every round of the exact fit
     classifiers: StrongClassifier  # problems are macro-actions, classes are actions
     quantiser: Quantiser | None  # from raw feature columns to levels; None where levels were given
-    candidates: Candidates | None  # None where there was nothing to discover
-    verdicts: dict[int, Verdict]  # of the restarts that were judged
+    search: Search | None  # None where there was nothing to discover
+
+    @property
+    def macros(self) -> int:
+        """The macro-actions that are used."""
+        return int(self.labels.max()) + 1
 
     def scores(self, features: Num[Tensor, "frames columns"]) -> Float[Tensor, "frames macros actions"]:
         """f_q^m(x) of raw features; only for a result that was fitted on raw features."""
         assert self.quantiser is not None, "fitted on levels: use classifiers.scores"
         return self.classifiers.scores(Frames(self.quantiser.levels(features.T.contiguous())))
-
-
-@dataclass(frozen=True)
-class _Task:
-    actions: Int64[Tensor, " frames"]
-    lengths: Int64[Tensor, " trajectories"]
-    groups: Int64[Tensor, " trajectories"]
-    n_actions: int
 
 
 class DPBoost:
@@ -81,6 +126,8 @@ class DPBoost:
         warmup: rounds that keep the labels they start from, at most half of a stage: relabelling by barely
             trained classifiers forgets a good start. After it the labels are re-estimated every round.
         drawn: random columns searched a round while discovering.
+        switch_weight: how much the switch functions' losses count beside those of the actions in the final
+            segmentation; 0 keeps them out.
         early_stopping: whether left-out trajectories say how many of `rounds` the exact fit has.
 
     Raises ValueError naming the argument that is out of range.
@@ -101,6 +148,7 @@ class DPBoost:
         discovery_rounds: int = 80,
         warmup: int = 30,
         drawn: int = 48,
+        switch_weight: float = 1.0,
         early_stopping: bool = False,
     ) -> None:
         counts = {
@@ -127,6 +175,7 @@ class DPBoost:
         self.discovery_rounds = discovery_rounds
         self.warmup = warmup
         self.drawn = drawn
+        self.switch_weight = switch_weight
         self.early_stopping = early_stopping
 
     def fit(
@@ -136,6 +185,7 @@ class DPBoost:
         lengths: Int64[Tensor, " trajectories"] | np.ndarray | Sequence[int],
         on_round: Callable[[Round], None] = lambda _: None,
         groups: Int64[Tensor, " trajectories"] | None = None,
+        search: Search | None = None,
     ) -> DPBoostResult:
         """Find macro-labels and strong classifiers.
 
@@ -145,32 +195,57 @@ class DPBoost:
             lengths: frames of every trajectory.
             on_round: called after every boosting round.
             groups: numbers 0.. of trajectories to leave out together, like mirror images; alone by default.
+            search: what `search` found on the same data, where it has run already.
+
+        Macro-actions that end up without a frame are pruned: the result may have fewer than Q.
 
         Raises ValueError where the shapes disagree, a feature is not finite, an action is negative, or there
         are more macro-actions than frames.
         """
-        actions = torch.as_tensor(actions).long()
-        lengths = torch.as_tensor(lengths).long().cpu()
         data, quantiser = self._prepare(features)
-        _check(data, actions, lengths, self.macros)
+        task = self._task(data, actions, lengths, groups)
+        if search is None and self.macros > 1 and task.max_transitions > 0:
+            search = self._search(data, task, on_round)
+        labels = torch.zeros_like(task.actions).cpu() if search is None else search.kept.labels
         generator = torch.Generator().manual_seed(self.seed)
-        groups = torch.arange(len(lengths)) if groups is None else groups.cpu()
-        task = _Task(actions.to(self.device), lengths, groups, int(actions.max()) + 1)
-        candidates: Candidates | None = None
-        verdicts: dict[int, Verdict] = {}
-        labels = torch.zeros(1, len(actions), dtype=torch.int64)
-        if self.macros > 1 and self.max_transitions > 0:
-            candidates = self._discover(data, task, generator, on_round)
-            labels, verdicts = self._choose(data, task, candidates, on_round)
         learner, rounds = self.learner(data), self.rounds
         if self.early_stopping:
-            held = labels[0], task.actions, lengths
-            rounds = validated_rounds(learner, *held, rounds, self.fit_shrinkage, generator, groups, on_round)
+            held = labels, task.actions, task.lengths, rounds, self.fit_shrinkage
+            rounds = validated_rounds(learner, *held, generator, task.groups, on_round)
         boosting = self._boosting(learner, task, 1, self.fit_shrinkage, generator)
-        fitted = self._alternate(boosting, task, labels, "fit", rounds, on_round)
-        return DPBoostResult(
-            fitted.labels[0], fitted.loss[:, 0], boosting.strong(), quantiser, candidates, verdicts
-        )
+        costs = None if search is None else self._switch_costs(search.kept, task)
+        fitted = self._alternate(boosting, task, labels[None], "fit", rounds, on_round, costs)
+        found = fitted.labels[0]
+        sure = torch.ones(len(found)) if search is None else confidence(search.kept, task, found)
+        used, pruned = found.unique(return_inverse=True)
+        strong = boosting.strong().select(used.to(self.device))
+        return DPBoostResult(pruned, sure, fitted.loss[:, 0], strong, quantiser, search)
+
+    def search(
+        self,
+        data: SortedLevels,
+        actions: Int64[Tensor, " frames"],
+        lengths: Int64[Tensor, " trajectories"],
+        on_round: Callable[[Round], None] = lambda _: None,
+        groups: Int64[Tensor, " trajectories"] | None = None,
+    ) -> Search:
+        """Find and judge segmentations without the final fit; arguments and errors as for `fit`."""
+        return self._search(data, self._task(data, actions, lengths, groups), on_round)
+
+    def _task(
+        self,
+        data: SortedLevels,
+        actions: Int64[Tensor, " frames"] | np.ndarray | Sequence[int],
+        lengths: Int64[Tensor, " trajectories"] | np.ndarray | Sequence[int],
+        groups: Int64[Tensor, " trajectories"] | None,
+    ) -> Task:
+        actions = torch.as_tensor(actions).long()
+        lengths = torch.as_tensor(lengths).long().cpu()
+        _check(data, actions, lengths, self.macros)
+        groups = torch.arange(len(lengths)) if groups is None else groups.cpu()
+        bound = min(self.max_transitions, int(lengths.max()) - 1)
+        n_actions = int(actions.max()) + 1
+        return Task(actions.to(self.device), lengths, groups, n_actions, self.macros, bound, self.seed)
 
     def _prepare(
         self, features: Num[Tensor, "frames columns"] | np.ndarray | SortedLevels
@@ -193,93 +268,80 @@ class DPBoost:
         quantiser = Quantiser.fit(values)
         return SortedLevels.build(quantiser.levels(values)), quantiser
 
-    def _boosting(
-        self,
-        learner: WeakLearner,
-        task: _Task,
-        restarts: int,
-        shrinkage: float,
-        generator: torch.Generator,
-    ) -> Boosting:
-        targets = class_targets(task.actions, task.n_actions)
-        return Boosting(learner, targets, restarts * self.macros, shrinkage, generator)
+    def _search(self, data: SortedLevels, task: Task, on_round: Callable[[Round], None]) -> Search:
+        candidates = self._discover(data, task, on_round)
+        judged = self._judge(data, task, candidates, on_round)
+        best = best_verdict([rival.verdict for rival in judged])
+        return Search(task, candidates, tuple(judged), best)
 
-    def _discover(
-        self, data: SortedLevels, task: _Task, generator: torch.Generator, on_round: Callable[[Round], None]
-    ) -> Candidates:
+    def _discover(self, data: SortedLevels, task: Task, on_round: Callable[[Round], None]) -> Alternated:
         """The alternation from every initial segmentation, on random columns."""
-        n_peaks = (self.restarts + 1) // 2
-        bound = min(self.max_transitions, int(task.lengths.max()) - 1)
-        shape = (self.macros, bound, generator)
-        initial = torch.cat(
-            [
-                feature_peaks(data.levels, task.lengths, n_peaks, *shape),
-                random_cuts(task.lengths, self.restarts - n_peaks, *shape),
-            ]
+        generator = torch.Generator().manual_seed(self.seed)
+        starts = initial_segmentations(
+            data.levels,
+            task.actions,
+            task.lengths,
+            self.restarts,
+            task.macros,
+            task.max_transitions,
+            generator,
         )
         learner = StumpLearner(data, drawn=self.drawn)
-        boosting = self._boosting(learner, task, self.restarts, self.shrinkage, generator)
-        return self._alternate(boosting, task, initial, "discover", self.discovery_rounds, on_round)
+        boosting = self._boosting(learner, task, len(starts), self.shrinkage, generator)
+        return self._alternate(boosting, task, starts, "discover", self.discovery_rounds, on_round)
+
+    def _judge(
+        self, data: SortedLevels, task: Task, candidates: Alternated, on_round: Callable[[Round], None]
+    ) -> list[Judged]:
+        """Verdicts on what the alternation found, on cuts by rare actions as they are (the alternation, which
+        knows no switch functions, drifts away from them), and on what switch functions make of the best.
+        """
+        order = candidates.loss[-1].argsort()
+        generator = torch.Generator().manual_seed(self.seed)
+        bounds = task.macros, task.max_transitions
+        events = action_events(task.actions, task.lengths, self.restarts // 4, *bounds, generator)
+        rivals = torch.cat([candidates.labels[order], events])
+        judged = judge(data, task, rivals[distinct(rivals)], on_round)
+        fresh = list(judged)
+        for _ in range(SWEEPS if self.switch_weight > 0 and task.n_groups > 1 else 0):
+            fresh.sort(key=lambda rival: (not rival.verdict.runnable, rival.verdict.causal_loss))
+            chosen, fresh = fresh[:REFINED], fresh[REFINED:]
+            known = torch.stack([rival.labels for rival in judged])
+            again = torch.stack([resegmented(rival, task, self.switch_weight) for rival in chosen])
+            again = again[[bool((labels != known).any(1).all()) for labels in again]]
+            if len(again) == 0:
+                break
+            found = judge(data, task, again, on_round)
+            judged, fresh = judged + found, fresh + found
+        return judged
+
+    def _switch_costs(self, kept: Judged, task: Task) -> SwitchCosts | None:
+        """What recognising the changes costs; None where they cannot be recognised anyway."""
+        if self.switch_weight == 0 or not kept.verdict.runnable:
+            return None
+        return switch_costs(kept, task, self.switch_weight)
+
+    def _boosting(
+        self, learner: WeakLearner, task: Task, restarts: int, shrinkage: float, generator: torch.Generator
+    ) -> Boosting:
+        targets = class_targets(task.actions, task.n_actions)
+        return Boosting(learner, targets, restarts * task.macros, shrinkage, generator)
 
     def _alternate(
         self,
         boosting: Boosting,
-        task: _Task,
-        labels: Int64[Tensor, "restarts frames"],
+        task: Task,
+        starts: Int64[Tensor, "restarts frames"],
         stage: str,
         rounds: int,
         on_round: Callable[[Round], None],
-    ) -> Candidates:
-        """Boosting rounds, each followed by a segmentation once the warm-up is over.
-
-        Boosting lowers the objective with the labels held, segmentation lowers it with the classifiers
-        held and the labels so far among its choices: it never rises, which is asserted up to rounding.
-        """
-        restarts, n_frames = labels.shape
-        labels, repeated = labels.to(self.device), task.lengths.repeat(restarts)
+        costs: SwitchCosts | None = None,
+    ) -> Alternated:
+        bounds = task.macros, task.max_transitions
         warmup = min(self.warmup, rounds // 2)
-        bound = min(self.max_transitions, int(task.lengths.max()) - 1)
-        loss: list[Tensor] = []
-        for number in range(1, rounds + 1):
-            held = torch.nn.functional.one_hot(labels, self.macros).float()
-            ended = boosting.round(held.transpose(0, 1).flatten(1))
-            costs = boosting.losses().unflatten(1, (restarts, self.macros)).transpose(0, 1)
-            changed = torch.zeros(restarts)
-            if number > warmup and self.macros > 1:
-                found = segment(costs.flatten(0, 1), repeated, bound).labels.view(restarts, n_frames)
-                changed, labels = (found != labels).float().mean(1), found
-            loss.append(costs.gather(2, labels[:, :, None]).double().mean((1, 2)))
-            risen = loss[-1] > loss[max(len(loss) - 2, 0)] * (1 + ROUNDING)
-            assert not bool(risen.any()), f"the objective rose in round {number} of {stage}"
-            best = int(loss[-1].argmin())
-            held_by = best * self.macros + labels[best]
-            chosen = boosting.scores[torch.arange(n_frames, device=self.device), held_by].argmax(1)
-            accuracy = float((chosen == task.actions).float().mean())
-            over = tuple(ended.tolist()) if restarts == 1 else ()
-            now = float(loss[-1][best]), accuracy, labels[best], float(changed[best])
-            on_round(Round(stage, number, rounds, *now, ended=over))
-            if bool(boosting.ended.all()):
-                break
-        return Candidates(labels.cpu(), torch.stack(loss).cpu())
-
-    def _choose(
-        self,
-        data: SortedLevels,
-        task: _Task,
-        candidates: Candidates,
-        on_round: Callable[[Round], None],
-    ) -> tuple[Int64[Tensor, "1 frames"], dict[int, Verdict]]:
-        """The candidate with the best verdict; with nothing to leave out, the one with the least loss."""
-        order = candidates.loss[-1].argsort()
-        order = order[distinct(candidates.labels[order])]
-        if int(task.groups.max()) == 0:
-            return candidates.labels[order[:1]], {}
-        rivals = candidates.labels[order]
-        verdicts = judge(
-            data, task.actions, task.lengths, rivals, task.n_actions, self.seed, task.groups, on_round
+        return alternate(
+            boosting, task.actions, task.lengths, starts, *bounds, rounds, warmup, stage, on_round, costs
         )
-        best = best_verdict(verdicts)
-        return rivals[best : best + 1], {int(order[k]): verdict for k, verdict in verdicts.items()}
 
 
 def _check(data: SortedLevels, actions: Tensor, lengths: Tensor, macros: int) -> None:

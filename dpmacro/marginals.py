@@ -1,7 +1,7 @@
 """How sure a segmentation is: the cheapest path through every label of every frame.
 
-A forward and a backward pass of the segmentation's recursion meet at frame n. With F_s(n, q) the least cost of
-frames 1..n that end in q with at most s transitions, and B_s(n, q) that of frames n..N that begin in q,
+A forward and a backward pass of the segmentation's recursion meet at frame n. With F_s(n, q) the least cost
+of frames 1..n that end in q with at most s transitions, and B_s(n, q) that of frames n..N that begin in q,
 
     V(n, q) = min_{s = 0..S} F'_s(n, q) + B'_{S-s}(n, q)
     F'_s(n, q) = min( F_s(n-1, q), min_{q'} [F_{s-1}(n-1, q') + T_n(q', q)] ), B' likewise with n+1,
@@ -43,9 +43,10 @@ def costs_without(
     reach: int = 0,
     transition_costs: Float[Tensor, "frames macros macros"] | None = None,
 ) -> Float[Tensor, "frames macros"]:
-    """V_n(q): the least cost of all frames but n and `reach` on either side, given that n has label q; float64.
+    """V_n(q): the least cost of all frames but n and `reach` on either side when n has label q; float64.
 
-    Args and errors are those of `segment`. A transition among the frames left out costs nothing but counts. `reach` of 1 or more goes without transition costs (ValueError).
+    Args and errors are those of `segment`. A transition among the frames left out costs nothing but counts.
+    `reach` of 1 or more goes without transition costs (ValueError).
     """
     check(costs, lengths, max_transitions, transition_costs)
     if reach < 0 or (reach > 0 and transition_costs is not None):

@@ -1,6 +1,5 @@
 """What a training shows while it runs: a progress bar for every stage, and TensorBoard scalars."""
 
-import functools
 import sys
 import time
 
@@ -28,56 +27,69 @@ STAGES = {  # names on the bars
 
 
 class Monitor:
-    """Turns the rounds of a training into a progress bar and TensorBoard scalars."""
+    """Turns the rounds of a training into a progress bar and TensorBoard scalars.
 
-    def __init__(self, writer: SummaryWriter, demonstrations: Demonstrations, macros: int) -> None:
+    Where several numbers of macro-actions are tried, `setting` names one in tags and on the bar: "Q3_S2".
+    """
+
+    def __init__(
+        self, writer: SummaryWriter, demonstrations: Demonstrations, macros: int, setting: str = ""
+    ) -> None:
         self._writer = writer
+        self._setting = setting
         self._demonstrations = demonstrations
         self._macros = macros
         self._bar: tqdm | None = None
         self._clock = time.perf_counter()
+        self._before: dict[str, int] = {}  # rounds of a stage in its earlier turns
+        self._steps: dict[str, int] = {}
 
     def on_round(self, report: Round) -> None:
         """Log one boosting round of DPBoost."""
-        self._advance(report.stage, report.number, report.total, report.loss)
+        stage = f"{report.stage}_{self._setting}" if self._setting else report.stage
+        if report.number == 1:
+            self._before[stage] = self._steps.get(stage, 0)
+            self._start_bar(report)
+        step = self._steps[stage] = self._before[stage] + report.number
+        now = time.perf_counter()
+        scalars = {
+            f"loss/{stage}": report.loss,
+            f"accuracy/{stage}": report.accuracy,
+            f"time/{stage}_seconds_per_round": now - self._clock,
+        }
         if report.labels is not None:
-            self._log_segmentation(report.stage, report.number, report.labels.cpu())
-            changes = f"segmentation/{report.stage}/label_changes"
-            self._writer.add_scalar(changes, report.label_changes, report.number)
-        self._writer.add_scalar(f"accuracy/{report.stage}", report.accuracy, report.number)
+            scalars.update(self._segmentation(stage, report.labels.cpu()))
+            scalars[f"segmentation/{stage}/label_changes"] = report.label_changes
+        for name, value in scalars.items():
+            self._writer.add_scalar(name, value, step)
         for problem in report.ended:
             name = "switch function" if report.stage == "switch" else "macro-action"
-            stage = STAGES[report.stage]
-            line = f"{stage}: {name} {problem} ends in round {report.number}, nothing beats chance"
-            self._writer.add_text(f"boosting/{report.stage}", line, report.number)
+            line = f"{STAGES[report.stage]}: {name} {problem} ends in round {report.number}, "
+            line += "nothing beats chance"
+            self._writer.add_text(f"boosting/{stage}", line, step)
             tqdm.write(line, file=sys.stderr)
-
-    def _log_segmentation(self, stage: str, number: int, labels: Int64[Tensor, " frames"]) -> None:
-        lengths = torch.from_numpy(self._demonstrations.lengths)
-        log = functools.partial(self._writer.add_scalar, global_step=number)
-        n_segments = int(transition_counts(labels, lengths).sum()) + len(lengths)
-        log(f"segmentation/{stage}/mean_segment_frames", len(labels) / n_segments)
-        for macro in range(self._macros):
-            share = float((labels == macro).float().mean())
-            log(f"segmentation/{stage}/occupancy_{macro}", share)
-        if self._demonstrations.truth is not None:
-            agreement = frame_accuracy(labels.numpy(), self._demonstrations.truth)
-            log(f"segmentation/{stage}/agreement_with_truth", agreement)
+        self._clock = now
+        assert self._bar is not None
+        self._bar.set_postfix_str(f"loss {report.loss:.4f}")
+        self._bar.update()
 
     def close(self) -> None:
         """Finish the bar."""
         if self._bar is not None:
             self._bar.close()
 
-    def _advance(self, stage: str, number: int, total: int, loss: float) -> None:
-        if number == 1:
-            self.close()
-            self._bar = tqdm(desc=STAGES[stage], total=total, unit="round")
-            self._clock = time.perf_counter()
-        now = time.perf_counter()
-        self._writer.add_scalar(f"loss/{stage}", loss, number)
-        self._writer.add_scalar(f"time/{stage}_seconds_per_round", now - self._clock, number)
-        self._clock = now
-        assert self._bar is not None
-        self._bar.set_postfix_str(f"loss {loss:.4f}")
-        self._bar.update()
+    def _start_bar(self, report: Round) -> None:
+        self.close()
+        name = f"{STAGES[report.stage]} {self._setting.replace('_', ' ')}".rstrip()
+        self._bar = tqdm(desc=name, total=report.total, unit="round")
+        self._clock = time.perf_counter()
+
+    def _segmentation(self, stage: str, labels: Int64[Tensor, " frames"]) -> dict[str, float]:
+        lengths = torch.from_numpy(self._demonstrations.lengths)
+        n_segments = int(transition_counts(labels, lengths).sum()) + len(lengths)
+        values = {"mean_segment_frames": len(labels) / n_segments}
+        for macro in range(self._macros):
+            values[f"occupancy_{macro}"] = float((labels == macro).float().mean())
+        if self._demonstrations.truth is not None:
+            values["agreement_with_truth"] = frame_accuracy(labels.numpy(), self._demonstrations.truth)
+        return {f"segmentation/{stage}/{name}": value for name, value in values.items()}

@@ -64,16 +64,20 @@ class PlannerOptions:
 
     type: str = "dpboost"
     """dpboost, or baseline for a single classifier."""
-    macros: int = 2
-    """Macro-actions Q; the baseline has 1."""
+    macros: int | str = 2
+    """Macro-actions Q, or auto to try 1 to max_macros of them; the baseline has 1."""
+    max_macros: int = 4
+    """The most macro-actions that auto tries."""
     max_transitions: int | None = None
-    """Bound S on transitions in every demonstration; by default Q - 1."""
+    """Bound S on transitions in a demonstration; by default Q - 1, and with auto macros twice that, too."""
     learner: str = "stumps"
     """Weak learners of the strong classifiers: stumps, convnet, or mixed for stumps first, then networks."""
     rounds: int = 300
     """Boosting rounds of the strong classifiers; those of networks are convnet.rounds."""
     shrinkage: float = 0.1
     """Factor on every weak hypothesis, above 0 and up to 1."""
+    switch_weight: float = 1.0
+    """What recognising the changes counts beside the actions when demonstrations are cut; 0 for nothing."""
     restarts: int = 32
     """Initial segmentations."""
     features: str = "rectangles"
@@ -113,7 +117,15 @@ class PlannerOptions:
             raise ValueError(f"planner.memory_limit is {self.memory_limit}: give a number of GiB above 0")
         if self.features not in FEATURES:
             raise ValueError(f"planner.features is {self.features!r}: choose one of {', '.join(FEATURES)}")
-        counts = ("macros", "rounds", "restarts", "rectangles", "reuse", "switch_window", "switch_rounds")
+        if isinstance(self.macros, str) and self.macros != "auto":
+            raise ValueError(f"planner.macros is {self.macros!r}: give a number, or auto")
+        if isinstance(self.macros, int) and self.macros < 1:
+            raise ValueError(f"planner.macros is {self.macros}: give 1 or more, or auto")
+        if self.max_macros < 2:
+            raise ValueError(f"planner.max_macros is {self.max_macros}: give 2 or more")
+        if not 0 <= self.switch_weight < float("inf"):
+            raise ValueError(f"planner.switch_weight is {self.switch_weight}: give 0 or more")
+        counts = ("rounds", "restarts", "rectangles", "reuse", "switch_window", "switch_rounds")
         for name in counts:
             if getattr(self, name) < 1:
                 raise ValueError(f"planner.{name} is {getattr(self, name)}: give 1 or more")

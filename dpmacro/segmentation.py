@@ -24,6 +24,7 @@ __all__ = [
     "Segmentation",
     "blocks_of",
     "check",
+    "cost_of",
     "frames_inside",
     "pad",
     "recursion",
@@ -75,6 +76,23 @@ def segment(
         blocks.append(_segment_block(costs[frames].double(), part, max_transitions, changes))
     labels, cost_by_bound = (torch.cat(parts) for parts in zip(*blocks, strict=True))
     return Segmentation(labels, cost_by_bound[:, -1], cost_by_bound)
+
+
+def cost_of(
+    labels: Int64[Tensor, " frames"],
+    costs: Float[Tensor, "frames macros"],
+    lengths: Int64[Tensor, " trajectories"],
+    transition_costs: Float[Tensor, "frames macros macros"] | None = None,
+) -> Float[Tensor, ""]:
+    """sum_n c_n(q_n) + sum_{n: q_n != q_{n+1}} T of given labels, over all trajectories; float64."""
+    total = costs.double().gather(1, labels[:, None]).sum()
+    if transition_costs is None:
+        return total
+    changed = torch.zeros_like(labels, dtype=torch.bool)
+    changed[1:] = labels[1:] != labels[:-1]
+    changed[(lengths.cumsum(0) - lengths).to(labels.device)] = False
+    after = changed.nonzero()[:, 0]
+    return total + transition_costs.double()[after, labels[after - 1], labels[after]].sum()
 
 
 def transition_counts(

@@ -5,134 +5,166 @@ planner has only images to tell when to change. So every rival is judged much as
 trajectories that the fit left out, the switch functions choose the macro-labels frame by frame, without
 looking ahead, and the strong classifiers are charged for the actions under those labels. What is left out
 are the trajectories of these quick fits; the rival's labels themselves came from all of them.
+
+Where no rival can be run better than a single classifier (the changes cannot be seen), or nothing can be left
+out for the switch functions, the rival whose own labels explain left-out frames best is kept.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Int64
+from jaxtyping import Float, Int64
 from torch import Tensor
 
-from dpmacro.boosting import Boosting, Round, class_targets
+from dpmacro.boosting import Round
+from dpmacro.crossfit import LeftOutScores, bounded_deviance, left_out_scores
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
-from dpmacro.stopping import folds_of
-from dpmacro.switching import causal_labels, fit_switches, starting_macro
+from dpmacro.marginals import costs_without, margins
+from dpmacro.switching import SwitchFunctions, causal_labels, fit_switches, starting_macro
 
-__all__ = ["Verdict", "best_verdict", "distinct", "judge"]
+__all__ = [
+    "Judged",
+    "Task",
+    "Verdict",
+    "best_verdict",
+    "confidence",
+    "distinct",
+    "judge",
+    "left_out_charges",
+]
 
-FINALISTS = 8  # rivals whose changes are recognised best go on to the dearer test
-FOLDS = 4
-ROUNDS = 60
-COLUMNS = 128  # random columns searched a round
+FINALISTS = 8  # rivals whose changes are recognised best go on to the dearer test,
+LEADERS = 4  # and so many whose training loss is least
 SWITCH_ROUNDS = 30
 SWITCH_COLUMNS = 512
-SHRINKAGE = 0.2
-CLOSE = 1.1  # causal errors within this factor are a tie
+MARGIN = 1.0  # of the bounded deviance
+RECOGNISED = 0.5  # share of the changes
+REACH = 5  # frames on either side of one that do not vote on its label
+STRETCHES = 8
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be explained, and what is left out together."""
+
+    actions: Int64[Tensor, " frames"]
+    lengths: Int64[Tensor, " trajectories"]
+    groups: Int64[Tensor, " trajectories"]  # trajectories of a group are left out together
+    n_actions: int
+    macros: int
+    max_transitions: int
+    seed: int
+
+    @property
+    def n_groups(self) -> int:
+        """How many groups of trajectories there are to leave out."""
+        return len(self.groups.unique())
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What left-out trajectories say of a segmentation."""
+    """What left-out data says of a segmentation; losses are bounded deviances in nats a frame."""
 
-    detected: float  # share of changes recognised at their first frame and not before; 1 where there is none
-    causal_loss: float  # exponential loss per frame when switch functions choose the labels
+    detected: float  # share of changes recognised at their first frame and not before; 0 where there is none
+    causal_loss: float  # when switch functions choose the labels
     causal_error: float  # share of frames whose action is wrong, likewise
+    hindsight_loss: float  # under the segmentation's own labels
+    gain: float  # by how much the causal loss is below that of a single classifier
+    gain_error: float  # its standard error over the trajectories
+    context_gain: float  # likewise when every frame's label comes from the frames around it, see `_context`
+    context_error: float
+
+    @property
+    def runnable(self) -> bool:
+        """Whether a planner can tell when to change, and does better for it."""
+        return self.detected >= RECOGNISED and self.gain > 0
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A rival with all that left-out data says of it."""
+
+    labels: Int64[Tensor, " frames"]
+    verdict: Verdict
+    scores: Float[Tensor, "frames macros actions"]  # by classifiers that never saw the frame
+    switches: SwitchFunctions
 
 
 def judge(
     data: SortedLevels,
-    actions: Int64[Tensor, " frames"],
-    lengths: Int64[Tensor, " trajectories"],
+    task: Task,
     rivals: Int64[Tensor, "rivals frames"],
-    n_actions: int,
-    seed: int,
-    groups: Int64[Tensor, " trajectories"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,
-) -> dict[int, Verdict]:
-    """Verdicts on the finalists among rival segmentations, by their number.
+) -> list[Judged]:
+    """Verdicts on the finalists among rival segmentations, given in the order of their training loss.
 
-    All rivals get the same folds and random columns, drawn by `seed`; trajectories of the same group fall
-    into the same fold. `on_round` is called after every rival's switch functions, then after every boosting
-    round of the finalists' classifiers, which grow side by side. Raises ValueError with fewer than two
-    trajectories: there is nothing to leave out.
+    All rivals get the same folds and random columns, drawn by the task's seed. `on_round` is called after
+    every rival's switch functions, then after every boosting round of the finalists' classifiers, which grow
+    side by side.
     """
-    if len(lengths) < 2:
-        raise ValueError(
-            f"{len(lengths)} trajectory: judging a segmentation leaves trajectories out, give two or more"
-        )
-    detected, causal = [], []
     learner = StumpLearner(data, drawn=SWITCH_COLUMNS)
+    switches: list[SwitchFunctions] = []
     for number, labels in enumerate(rivals, 1):
-        switches = fit_switches(
-            learner,
-            labels,
-            lengths,
-            torch.Generator().manual_seed(seed),
-            rounds=SWITCH_ROUNDS,
-            groups=groups,
+        generator = torch.Generator().manual_seed(task.seed)
+        found = fit_switches(
+            learner, labels, task.lengths, generator, rounds=SWITCH_ROUNDS, groups=task.groups
         )
-        first = starting_macro(labels, lengths)
-        causal.append(causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, first))
-        detected.append(float(switches.detected.mean()) if switches.pairs else 1.0)
-        agreement = float((causal[-1] == labels).float().mean())
-        on_round(Round("recognise", number, len(rivals), 1 - detected[-1], agreement, None))
-    order = sorted(range(len(rivals)), key=lambda k: -detected[k])[:FINALISTS]
-    losses, errors = _causal_charges(
+        switches.append(found)
+        share = _detected(found)
+        on_round(Round("recognise", number, len(rivals), 1 - share, share, None))
+    recognised = sorted(range(len(rivals)), key=lambda k: -_detected(switches[k]))
+    order = list(dict.fromkeys([*recognised[:FINALISTS], *range(min(LEADERS, len(rivals)))]))
+    scores = left_out_scores(
         data,
-        actions.cpu(),
-        lengths,
+        task.actions,
+        task.lengths,
         rivals[order],
-        torch.stack([causal[k] for k in order]),
-        n_actions,
-        seed,
-        groups,
+        task.macros,
+        task.n_actions,
+        task.seed,
+        task.groups,
         on_round,
     )
-    return {k: Verdict(detected[k], losses[f], errors[f]) for f, k in enumerate(order)}
+    verdicts = [_verdict(task, rivals[k], switches[k], scores, place) for place, k in enumerate(order)]
+    return [
+        Judged(rivals[k], verdict, own, switches[k])
+        for k, verdict, own in zip(order, verdicts, scores.macros, strict=True)
+    ]
 
 
-def _causal_charges(
-    data: SortedLevels,
-    actions: Int64[Tensor, " frames"],
-    lengths: Int64[Tensor, " trajectories"],
-    rivals: Int64[Tensor, "finalists frames"],
-    causal: Int64[Tensor, "finalists frames"],
-    n_actions: int,
-    seed: int,
-    groups: Int64[Tensor, " trajectories"] | None,
-    on_round: Callable[[Round], None],
-) -> tuple[list[float], list[float]]:
-    """Exponential loss and share of wrong actions per left-out frame, every frame under its causal label."""
-    generator = torch.Generator().manual_seed(seed)
-    n_rivals, n_macros = len(rivals), int(rivals.max()) + 1
-    fold_of = folds_of(len(lengths), FOLDS, generator, groups).repeat_interleave(lengths)
-    n_folds = int(fold_of.max()) + 1
-    held = torch.nn.functional.one_hot(rivals, n_macros).float().transpose(0, 1)
-    kept = (fold_of[:, None] != torch.arange(n_folds)).float()
-    learner = StumpLearner(data, drawn=COLUMNS)
-    base = (held[:, :, None] * kept[:, None, :, None]).flatten(1).to(learner.device)
-    targets = class_targets(actions, n_actions).to(learner.device)
-    boosting = Boosting(learner, targets, base.shape[1], SHRINKAGE, generator)
-    truth = actions.to(learner.device)[:, None]
-    for number in range(1, ROUNDS + 1):
-        boosting.round(base)
-        loss = float((base * boosting.losses()).sum() / base.sum())
-        accuracy = float((base * (boosting.scores.argmax(2) == truth)).sum() / base.sum())
-        on_round(Round("judge", number, ROUNDS, loss, accuracy, None))
-    problem = (torch.arange(n_rivals)[:, None] * n_folds + fold_of) * n_macros + causal  # [finalists, frames]
-    frames = torch.arange(len(actions))
-    losses = boosting.losses().cpu()[frames, problem].mean(1)
-    wrong = boosting.scores.cpu()[frames, problem].argmax(2) != actions
-    return losses.tolist(), wrong.float().mean(1).tolist()
+def best_verdict(verdicts: Sequence[Verdict]) -> int:
+    """The number of the verdict to follow.
+
+    Runnable are the rivals half of whose changes, at least, are recognised and that are run better than a
+    single classifier. Of those the one of least causal loss, or of those within a standard error of it the
+    one whose changes are recognised best. Where none is runnable, the one of least loss in hindsight.
+    """
+    runnable = [k for k, verdict in enumerate(verdicts) if verdict.runnable]
+    if not runnable:
+        return min(range(len(verdicts)), key=lambda k: verdicts[k].hindsight_loss)
+    best = min((verdicts[k] for k in runnable), key=lambda verdict: verdict.causal_loss)
+    limit = best.causal_loss + best.gain_error
+    close = [k for k in runnable if verdicts[k].causal_loss <= limit]
+    return max(close, key=lambda k: (verdicts[k].detected, -verdicts[k].causal_loss))
 
 
-def best_verdict(verdicts: dict[int, Verdict]) -> int:
-    """The rival of least causal error; of those within a tenth of it the one whose changes are seen best."""
-    limit = CLOSE * min(verdict.causal_error for verdict in verdicts.values())
-    close = [k for k, verdict in verdicts.items() if verdict.causal_error <= limit]
-    return max(close, key=lambda k: verdicts[k].detected)
+def confidence(judged: Judged, task: Task, labels: Int64[Tensor, " frames"]) -> Float[Tensor, " frames"]:
+    """How sure classifiers that never saw a frame are of its label, 0..1.
+
+    1 - exp(-d), d being what the best segmentation with another label at that frame costs them more, in nats
+    of bounded deviance; 0 where they want another label.
+    """
+    charges = left_out_charges(judged, task).double()
+    sure = margins(charges, task.lengths, task.max_transitions, labels)
+    return -torch.expm1(-sure.clamp(min=0)).float()
+
+
+def left_out_charges(judged: Judged, task: Task) -> Float[Tensor, "frames macros"]:
+    """Bounded deviances, in nats, of every frame under every macro-action's left-out classifiers."""
+    targets = torch.nn.functional.one_hot(task.actions.cpu(), task.n_actions).bool()
+    return bounded_deviance(judged.scores, targets[:, None], MARGIN)
 
 
 def distinct(rivals: Int64[Tensor, "rivals frames"], similar: float = 0.99) -> Int64[Tensor, " kept"]:
@@ -142,3 +174,59 @@ def distinct(rivals: Int64[Tensor, "rivals frames"], similar: float = 0.99) -> I
         if all(float((labels == rivals[other]).float().mean()) < similar for other in kept):
             kept.append(k)
     return torch.tensor(kept)
+
+
+def _detected(switches: SwitchFunctions) -> float:
+    return float(switches.detected.mean()) if switches.pairs else 0.0
+
+
+def _verdict(
+    task: Task,
+    labels: Int64[Tensor, " frames"],
+    switches: SwitchFunctions,
+    scores: LeftOutScores,
+    place: int,
+) -> Verdict:
+    """Charges of one rival; where a single group of trajectories leaves nothing out, it cannot be run."""
+    frames, actions = torch.arange(len(labels)), task.actions.cpu()
+    targets = torch.nn.functional.one_hot(actions, task.n_actions).bool()
+    charges = bounded_deviance(scores.macros[place], targets[:, None], MARGIN)
+    alone = bounded_deviance(scores.alone, targets, MARGIN)
+    in_context = alone - charges[frames, _context(charges, task)]
+    if task.n_groups > 1:
+        first = starting_macro(labels, task.lengths)
+        causal = causal_labels(switches.held_out, switches.thresholds, switches.pairs, task.lengths, first)
+        paid = charges[frames, causal]
+        wrong = float((scores.macros[place][frames, causal].argmax(1) != actions).float().mean())
+        run = float(paid.mean()), wrong
+        gain = float((alone - paid).mean()), _standard_error(alone - paid, task)
+    else:
+        run, gain = (torch.inf, 1.0), (-torch.inf, 0.0)
+    return Verdict(
+        _detected(switches),
+        *run,
+        float(charges[frames, labels].mean()),
+        *gain,
+        float(in_context.mean()),
+        _standard_error(in_context, task),
+    )
+
+
+def _context(charges: Float[Tensor, "frames macros"], task: Task) -> Int64[Tensor, " frames"]:
+    """The label that the frames around each frame want, it and `REACH` on either side left out.
+
+    A segmentation in hindsight gets better with every macro-action and transition more; what its labels say
+    of frames that had no voice in them does not.
+    """
+    return costs_without(charges.double(), task.lengths, task.max_transitions, REACH).argmin(1)
+
+
+def _standard_error(gains: Float[Tensor, " frames"], task: Task) -> float:
+    """Of the mean gain a frame, over groups of trajectories, or over stretches where groups are few."""
+    frames = torch.arange(len(gains))
+    part_of = task.groups.repeat_interleave(task.lengths)
+    if task.n_groups < STRETCHES:
+        part_of = frames * STRETCHES // len(gains)
+    parts = part_of.unique(return_inverse=True)[1]
+    sums = torch.zeros(int(parts.max()) + 1, dtype=gains.dtype).index_add(0, parts, gains)
+    return float(sums.std() * len(sums) ** 0.5 / len(gains))

@@ -7,9 +7,10 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from dpmacro.boosting import Boosting, Round, class_targets
+from dpmacro.folds import folds_of
 from dpmacro.learners import WeakLearner
 
-__all__ = ["BestRound", "folds_of", "validated_rounds"]
+__all__ = ["BestRound", "validated_rounds"]
 
 PARTS = 4  # one of so many parts of the trajectories is left out
 PATIENCE = 0.2  # share of all rounds that may pass without a better one
@@ -77,18 +78,3 @@ def validated_rounds(
         if stopping.exhausted(error[None]) or bool(boosting.ended.all()):
             break
     return int(stopping.best)
-
-
-def folds_of(
-    n_trajectories: int,
-    folds: int,
-    generator: torch.Generator,
-    groups: Int64[Tensor, " trajectories"] | None = None,
-) -> Int64[Tensor, " trajectories"]:
-    """A fold for every trajectory, at random, as even as can be; trajectories of a group share theirs."""
-    groups = torch.arange(n_trajectories) if groups is None else groups.cpu().unique(return_inverse=True)[1]
-    n_groups = int(groups.max()) + 1
-    order = torch.randperm(n_groups, generator=generator)
-    fold_of = torch.empty(n_groups, dtype=torch.int64)
-    fold_of[order] = torch.arange(n_groups) % max(1, min(folds, n_groups))
-    return fold_of[groups]

@@ -14,8 +14,9 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from dpmacro.boosting import Boosting, Round, exponentials_of
+from dpmacro.folds import folds_of
 from dpmacro.learners import StrongClassifier, WeakLearner
-from dpmacro.stopping import BestRound, folds_of
+from dpmacro.stopping import BestRound
 
 __all__ = [
     "Event",

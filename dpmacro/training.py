@@ -11,26 +11,30 @@ from typing import Any
 
 import torch
 from jaxtyping import Int64
+from matplotlib.figure import Figure
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from dpmacro import figures
+from dpmacro.choosing import Choice, choose
 from dpmacro.columns import Plan, prepare
+from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
 from dpmacro.features import FeatureSet, frames_before, make_features
+from dpmacro.gallery import chosen_pixels, mean_images
 from dpmacro.learners import WeakLearner
 from dpmacro.learners.convnet import ConvNetLearner
 from dpmacro.learners.ensemble import InTurn
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
 from dpmacro.monitor import Monitor
-from dpmacro.options import TrainOptions
+from dpmacro.options import PlannerOptions, TrainOptions
 from dpmacro.policy import MacroPolicy, PolicyConfig
 from dpmacro.quantising import Quantiser
 from dpmacro.runs import RunFolder
-from dpmacro.selection import FINALISTS, FOLDS
+from dpmacro.selection import FINALISTS, LEADERS
 from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
 
 __all__ = ["Trainer", "TrainingResult"]
@@ -47,6 +51,7 @@ class TrainingResult:
     switches: SwitchFunctions
     plan: Plan  # how the feature columns were held
     pretrained: Path  # folder to give to eval.py
+    choice: Choice | None  # of the number of macro-actions, where it was left open
 
 
 class Trainer:
@@ -64,10 +69,11 @@ class Trainer:
         self.folder = folder
         self.actions = torch.from_numpy(demonstrations.actions)
         self.lengths = torch.from_numpy(demonstrations.lengths)
-        self._macros = 1 if options.planner.type == "baseline" else options.planner.macros
-        if self._macros > len(self.actions):
+        self._settings = _settings(options.planner)
+        most = max(macros for macros, _ in self._settings)
+        if most > len(self.actions):
             raise ValueError(
-                f"planner.macros is {self._macros} but {demonstrations.root} has {len(self.actions)} frames: "
+                f"planner.macros is {most} but {demonstrations.root} has {len(self.actions)} frames: "
                 "ask for fewer"
             )
         if options.planner.early_stopping and int(self._groups.max()) == 0:
@@ -91,19 +97,17 @@ class Trainer:
         planner = self.options.planner
         with SummaryWriter(str(self.folder.tensorboard)) as writer:
             features, quantiser, data = self._prepare()
-            monitor = Monitor(writer, self.demonstrations, self._macros)
-            discovery = DPBoost(
-                self._macros,
-                0 if planner.type == "baseline" else planner.max_transitions,
-                self._rounds(planner.learner, planner.rounds),
-                functools.partial(self._learner, planner.learner, planner.rounds),
-                restarts=planner.restarts,
-                seed=self.options.seed,
-                device=self.options.device,
-                shrinkage=planner.shrinkage,
-                fit_shrinkage=self._shrinkage(planner.learner, planner.shrinkage),
-                early_stopping=planner.early_stopping,
-            ).fit(data, self.actions, self.lengths, monitor.on_round, self._groups)
+            choice = self._choose(data, writer) if len(self._settings) > 1 else None
+            macros, bound = self._settings[0] if choice is None else choice.setting
+            monitor = Monitor(writer, self.demonstrations, macros)
+            discovery = self._dpboost(macros, bound).fit(
+                data,
+                self.actions,
+                self.lengths,
+                monitor.on_round,
+                self._groups,
+                None if choice is None else choice.search,
+            )
             switches = fit_switches(
                 self._learner(planner.switch_learner, planner.switch_rounds, data),
                 discovery.labels,
@@ -117,21 +121,54 @@ class Trainer:
                 on_round=monitor.on_round,
             )
             monitor.close()
-            policy = self._policy(features, quantiser, discovery, switches)
-            self._report(writer, discovery, switches)
+            policy = self._policy(features, quantiser, discovery, switches, bound)
+            self._report(writer, policy, discovery, switches)
         options = _plain(asdict(self.options))
         lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
         labels = discovery.labels[: int(lengths.sum())]
         pretrained = self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
-        return TrainingResult(policy, discovery, switches, self.plan, pretrained)
+        return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
+
+    def _dpboost(self, macros: int, max_transitions: int) -> DPBoost:
+        planner = self.options.planner
+        return DPBoost(
+            macros,
+            max_transitions,
+            self._rounds(planner.learner, planner.rounds),
+            functools.partial(self._learner, planner.learner, planner.rounds),
+            restarts=planner.restarts,
+            seed=self.options.seed,
+            device=self.options.device,
+            shrinkage=planner.shrinkage,
+            fit_shrinkage=self._shrinkage(planner.learner, planner.shrinkage),
+            switch_weight=planner.switch_weight,
+            early_stopping=planner.early_stopping,
+        )
+
+    def _choose(self, data: SortedLevels, writer: SummaryWriter) -> Choice:
+        """Search with every setting, one macro-action aside, and choose by data that was left out."""
+        searches = []
+        for macros, bound in self._settings[1:]:
+            monitor = Monitor(writer, self.demonstrations, macros, f"Q{macros}_S{bound}")
+            searches.append(
+                self._dpboost(macros, bound).search(
+                    data, self.actions, self.lengths, monitor.on_round, self._groups
+                )
+            )
+            monitor.close()
+        choice = choose(searches)
+        chart = figures.selection_chart(choice.points, choice.place, "How many macro-actions?")
+        self._show(writer, "selection", chart)
+        return choice
 
     def _plan(self) -> tuple[FeatureSet, Plan]:
         """The feature set, and how its columns are held."""
         planner = self.options.planner
         n_frames, height, width = self.demonstrations.images.shape[:3]
         features = make_features(planner.features, height, width, planner.rectangles, self._generator)
-        copies = max(planner.restarts, FINALISTS * FOLDS) if self._macros > 1 else 1
-        tables = TABLES * 4 * copies * self._macros * (int(self.actions.max()) + 1)
+        most = max(macros for macros, _ in self._settings)
+        copies = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
+        tables = TABLES * 4 * copies * most * (int(self.actions.max()) + 1)
         image_bytes = self.demonstrations.images[0].size
         return features, Plan.fitting(n_frames, image_bytes, features.count, tables, planner.memory_limit)
 
@@ -180,58 +217,88 @@ class Trainer:
         quantiser: Quantiser,
         discovery: DPBoostResult,
         switches: SwitchFunctions,
+        max_transitions: int,
     ) -> MacroPolicy:
         demonstrations = self.demonstrations
         height, width = demonstrations.images.shape[1:3]
         config = PolicyConfig(
             type=self.options.planner.type,
-            macros=self._macros,
+            macros=discovery.macros,
             first_macro=starting_macro(discovery.labels, self.lengths),
             action_names=demonstrations.action_names,
             image_shape=(height, width),
             features=self.options.planner.features,
             switches=tuple(switches.pairs),
             thresholds=tuple(switches.thresholds.tolist()),
-            max_transitions=self.options.planner.max_transitions,
+            max_transitions=max_transitions,
             world=demonstrations.world,
         )
         return MacroPolicy.compact(config, features, quantiser, discovery.classifiers, switches.classifier)
 
-    def _report(self, writer: SummaryWriter, discovery: DPBoostResult, switches: SwitchFunctions) -> None:
+    def _report(
+        self, writer: SummaryWriter, policy: MacroPolicy, discovery: DPBoostResult, switches: SwitchFunctions
+    ) -> None:
         """Pictures of the segmentation, in TensorBoard and as PNG, and what left-out trajectories said."""
         demonstrations = self.demonstrations
-        labels = discovery.labels.numpy()
+        labels, sure = discovery.labels.numpy(), discovery.confidence.numpy()
         first = slice(0, int(demonstrations.lengths[0]))
-        truth = demonstrations.truth
-        pictures = {
-            "timeline": figures.timeline(
-                demonstrations.images[first],
-                labels[first],
-                demonstrations.actions[first],
-                None if truth is None else truth[first],
-                f"Demonstration 0: {self._macros} macro-actions",
-                demonstrations.action_names,
-            ),
-            "objective": figures.curves(_loss_panels(discovery), "Exponential loss per frame"),
-            "segmentation": figures.timelines(labels, demonstrations.lengths, truth, "All demonstrations"),
-        }
-        for name, figure in pictures.items():
-            figures.save(figure, self.folder.figures / f"{name}.png")
-            writer.add_image(f"figures/{name}", figures.to_image(figure), dataformats="HWC")
-        for restart, verdict in discovery.verdicts.items():
-            for name, value in asdict(verdict).items():
-                writer.add_scalar(f"selection/{name}", value, restart)
+        truth, names = demonstrations.truth, (demonstrations.truth_name, demonstrations.truth_classes)
+        timeline = figures.timeline(
+            demonstrations.images[first],
+            labels[first],
+            demonstrations.actions[first],
+            None if truth is None else truth[first],
+            f"Demonstration 0: {discovery.macros} macro-actions",
+            demonstrations.action_names,
+            *names,
+            sure[first],
+        )
+        title = "All demonstrations"
+        self._show(writer, "timeline", timeline)
+        self._show(writer, "objective", figures.curves(_loss_panels(discovery), "Objective per frame"))
+        every = figures.timelines(labels, demonstrations.lengths, truth, title, *names, sure)
+        self._show(writer, "segmentation", every)
+        self._show(writer, "transitions", figures.transition_graph(labels, demonstrations.lengths))
+        weights = chosen_pixels(policy)
+        if weights is not None:
+            means = mean_images(demonstrations.images, labels, discovery.macros)
+            self._show(
+                writer, "pixels", figures.heat_maps(means, weights, title="Pixels that stumps look at")
+            )
+        search = discovery.search
+        if search is not None:
+            elbow = figures.elbow(search.cost_by_bound.numpy(), search.max_transitions, "Left-out data")
+            self._show(writer, "elbow", elbow)
+            for rival, verdict in enumerate(search.verdicts):
+                for name, value in asdict(verdict).items():
+                    writer.add_scalar(f"selection/{name}", value, rival)
         for (source, target), share in zip(switches.pairs, switches.detected.tolist(), strict=True):
             writer.add_scalar(f"switch/detected_{source}_to_{target}", share)
 
+    def _show(self, writer: SummaryWriter, name: str, figure: Figure) -> None:
+        figures.save(figure, self.folder.figures / f"{name}.png")
+        writer.add_image(f"figures/{name}", figures.to_image(figure), dataformats="HWC")
+
+
+def _settings(planner: PlannerOptions) -> list[tuple[int, int]]:
+    """Q and S of every search that the options ask for; where there is a choice, one macro-action first."""
+    given = planner.max_transitions
+    if planner.type == "baseline":
+        return [(1, 0)]
+    if isinstance(planner.macros, int):
+        return [(planner.macros, planner.macros - 1 if given is None else given)]
+    numbers = range(2, planner.max_macros + 1)
+    bounds = {macros: (macros - 1, 2 * (macros - 1)) if given is None else (given,) for macros in numbers}
+    return [(1, 0), *((macros, bound) for macros in numbers for bound in bounds[macros])]
+
 
 def _loss_panels(discovery: DPBoostResult) -> dict[str, dict[str, list[float]]]:
-    """The objective of the exact fit, and of six restarts that were judged."""
+    """The objective of the exact fit, and of the six best restarts."""
     panels = {"exact fit": {"exact fit": discovery.loss.tolist()}}
-    if discovery.candidates is not None:
-        losses = discovery.candidates.loss.T.tolist()
-        judged = list(discovery.verdicts or range(len(losses)))[:6]
-        panels["discovery"] = {f"restart {k}": losses[k] for k in judged}
+    if discovery.search is not None:
+        losses = discovery.search.candidates.loss
+        best = losses[-1].argsort()[:6].tolist()
+        panels["discovery"] = {f"restart {k}": losses[:, k].tolist() for k in best}
     return panels
 
 

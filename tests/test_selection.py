@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dpmacro.learners.sorting import SortedLevels
-from dpmacro.selection import Verdict, best_verdict, distinct, judge
+from dpmacro.selection import Task, Verdict, best_verdict, confidence, distinct, judge
 
 
 def visible_change(n=12, length=80):
@@ -20,31 +20,87 @@ def visible_change(n=12, length=80):
     return SortedLevels.build(levels), actions, torch.full((n,), length), truth
 
 
-def test_the_true_segmentation_has_the_least_causal_error():
+def task_of(actions, lengths, macros=2, bound=1, groups=None):
+    groups = torch.arange(len(lengths)) if groups is None else groups
+    return Task(actions, lengths, groups, int(actions.max()) + 1, macros, bound, seed=0)
+
+
+@pytest.fixture(scope="module")
+def judged():
     data, actions, lengths, truth = visible_change()
     shifted = truth.view(12, 80).roll(9, 1).flatten()
     one = torch.zeros_like(truth)
-    verdicts = judge(data, actions, lengths, torch.stack([shifted, truth, one]), 2, seed=0)
-    errors = [verdicts[k].causal_error for k in range(3)]
-    assert min(errors) == errors[1] < 0.6 * errors[2]
-    assert verdicts[1].detected == 1.0
-    assert verdicts[0].detected < 0.5
+    task = task_of(actions, lengths)
+    return task, truth, judge(data, task, torch.stack([shifted, truth, one]))
 
 
-def test_a_single_trajectory_cannot_be_judged():
+def by_labels(judged, labels):
+    return next(rival for rival in judged if torch.equal(rival.labels, labels))
+
+
+def test_the_true_segmentation_is_run_best(judged):
+    _, truth, rivals = judged
+    right, one = by_labels(rivals, truth).verdict, by_labels(rivals, torch.zeros_like(truth)).verdict
+    shifted = by_labels(rivals, truth.view(12, 80).roll(9, 1).flatten()).verdict
+    assert right.detected == 1.0
+    assert shifted.detected < 0.5
+    assert right.runnable and not shifted.runnable and not one.runnable
+    assert right.causal_error < 0.6 * min(shifted.causal_error, one.causal_error)
+    assert right.gain > 3 * right.gain_error > 0
+    assert abs(one.gain) < 1e-6  # the very classifier that it is compared with
+    assert rivals[best_verdict([rival.verdict for rival in rivals])].labels is by_labels(rivals, truth).labels
+
+
+def test_context_says_what_the_labels_are_worth_in_hindsight(judged):
+    _, truth, rivals = judged
+    right = by_labels(rivals, truth).verdict
+    assert right.context_gain == pytest.approx(right.gain, rel=0.3)
+    # Labels that follow the actions themselves explain every frame, and nothing of frames without a voice.
+    data, actions, lengths, _ = visible_change()
+    task = task_of(actions, lengths, bound=79)
+    followed = judge(data, task, actions[None])[0].verdict
+    assert followed.hindsight_loss <= right.hindsight_loss
+    assert followed.context_gain < 0
+
+
+def test_a_single_trajectory_is_judged_in_hindsight():
     data, actions, _, truth = visible_change()
-    with pytest.raises(ValueError, match="give two or more"):
-        judge(data, actions, torch.tensor([960]), truth[None], 2, seed=0)
+    task = task_of(actions, torch.tensor([960]), bound=23)
+    verdicts = [rival.verdict for rival in judge(data, task, torch.stack([truth.roll(20), truth]))]
+    assert not any(verdict.runnable for verdict in verdicts)
+    assert best_verdict(verdicts) == min((0, 1), key=lambda k: verdicts[k].hindsight_loss)
+    assert all(verdict.gain_error == 0 and verdict.context_error > 0 for verdict in verdicts)
+
+
+def test_confidence_is_low_at_the_change_and_high_in_between(judged):
+    task, truth, rivals = judged
+    right = by_labels(rivals, truth)
+    sure = confidence(right, task, truth).view(12, 80)
+    assert bool((sure >= 0).all()) and bool((sure <= 1).all())
+    at_change = (truth.view(12, 80).diff(dim=1) != 0).nonzero()
+    near = torch.stack([sure[row, cut + 1] for row, cut in at_change.tolist()]).mean()
+    assert float(near) < float(sure[:, :15].mean())
+    wrong = confidence(right, task, 1 - truth)
+    assert float(wrong.mean()) < 0.1
+
+
+def verdict(loss, detected=1.0, gain=0.1, error=0.0, hindsight=1.0):
+    return Verdict(detected, loss, 0.1, hindsight, gain, error, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
     ("verdicts", "best"),
     [
-        ({4: Verdict(0.1, 1.0, 0.10), 7: Verdict(0.9, 1.0, 0.12)}, 4),
-        ({4: Verdict(0.1, 1.0, 0.10), 7: Verdict(0.9, 1.0, 0.105)}, 7),
+        ([verdict(0.5), verdict(0.4)], 1),
+        ([verdict(0.41, 0.9), verdict(0.4, 0.8, error=0.02)], 0),  # within a standard error: seen best
+        ([verdict(0.5, 0.9), verdict(0.4, 0.8, error=0.02)], 1),
+        ([verdict(0.41, 0.8), verdict(0.4, 0.8, error=0.02)], 1),  # seen alike: least loss
+        ([verdict(0.5, 0.9), verdict(0.4, 0.4)], 0),  # changes that are not recognised
+        ([verdict(0.5), verdict(0.4, gain=-0.1)], 0),  # worse than a single classifier
+        ([verdict(0.3, gain=-0.1, hindsight=0.6), verdict(0.4, 0.4, hindsight=0.5)], 1),  # none can be run
     ],
 )
-def test_the_best_verdict_is_the_least_error_unless_it_is_close(verdicts, best):
+def test_the_best_verdict(verdicts, best):
     assert best_verdict(verdicts) == best
 
 

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
+from dpmacro.folds import folds_of
 from dpmacro.learners import Frames
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
-from dpmacro.stopping import folds_of
 from dpmacro.switching import causal_labels, fit_switches, macro_segments, starting_macro
 
 

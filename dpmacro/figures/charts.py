@@ -79,51 +79,47 @@ def success_chart(outcomes: Mapping[str, Mapping[str, int]], title: str = "") ->
 
 
 def selection_chart(points: Sequence[Any], chosen: int | None = None, title: str = "") -> Figure:
-    """How numbers of macro-actions Q and bounds on transitions S compare: their error, and what they used.
+    """How numbers of macro-actions Q and bounds on transitions S compare: what they gain, and what they used.
 
     Args:
-        points: dataclasses or mappings with `macros`, `max_transitions`, `error` in 0..1, its interval `low`
-            to `high`, and `changes`, the transitions per trajectory that were used. With several bounds for
-            some number of macro-actions there is a line for every number, over the bound; else one over Q.
-        chosen: the place in `points` of the one to mark.
+        points: objects with `macros`, `max_transitions`, `gain` over one macro-action, its standard `error`,
+            and `changes`, the transitions per trajectory that were used. With several bounds for some number
+            of macro-actions there is a line for every number, over the bound; else one over Q.
+        chosen: the place in `points` of the one to mark; None marks one macro-action, the line at 0.
         title: above all.
 
     Raises ValueError where there is no point.
     """
-    rows = [dict(point) if isinstance(point, Mapping) else vars(point) for point in points]
-    if not rows:
+    if not points:
         raise ValueError("there are no points: give one at least")
-    over_bound = len({row["macros"] for row in rows}) < len(rows)
-    x_name = "max_transitions" if over_bound else "macros"
-    lines = sorted({row["macros"] for row in rows}) if over_bound else [None]
-    places = [
-        row[x_name] + (lines.index(row["macros"]) - (len(lines) - 1) / 2) * DODGE
-        if over_bound
-        else row[x_name]
-        for row in rows
-    ]
+    over_bound = len({point.macros for point in points}) < len(points)
+    numbers = sorted({point.macros for point in points}) if over_bound else [None]
+
+    def place(point: Any) -> float:
+        if not over_bound:
+            return float(point.macros)
+        return point.max_transitions + (numbers.index(point.macros) - (len(numbers) - 1) / 2) * DODGE
+
     figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
-    errors, changes = figure.subplots(1, 2)
-    for colour, macros in zip(_cycle(len(lines)), lines, strict=True):
-        line = [(x, row) for x, row in zip(places, rows, strict=True) if macros in (None, row["macros"])]
-        line.sort(key=lambda pair: pair[0])
-        x, error = [x for x, _ in line], [row["error"] for _, row in line]
-        whiskers = [[row["error"] - row["low"], row["high"] - row["error"]] for _, row in line]
-        style: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 5, "linewidth": 1.8}
-        errors.errorbar(x, error, yerr=np.clip(whiskers, 0, None).T, capsize=4, **style)
-        changes.plot(x, [row["changes"] for _, row in line], **style)
+    gains, changes = figure.subplots(1, 2)
+    gains.axhline(0, color=INK, linewidth=2.6 if chosen is None else 1.0, linestyle=(0, (2, 1.5)))
+    for colour, macros in zip(_cycle(len(numbers)), numbers, strict=True):
+        line = sorted((point for point in points if macros in (None, point.macros)), key=place)
+        x, style = [place(point) for point in line], {"color": colour, "marker": "o", "markersize": 5}
+        errors = [point.error for point in line]
+        gains.errorbar(x, [point.gain for point in line], yerr=errors, capsize=4, linewidth=1.8, **style)
+        changes.plot(x, [point.changes for point in line], linewidth=1.8, **style)
     if chosen is not None:
-        for axis, quantity in ((errors, "error"), (changes, "changes")):
-            axis.plot(places[chosen], rows[chosen][quantity], color=INK, **CHOSEN)
+        gains.plot(place(points[chosen]), points[chosen].gain, color=INK, **CHOSEN)
+        changes.plot(place(points[chosen]), points[chosen].changes, color=INK, **CHOSEN)
     named = "bound S on transitions" if over_bound else "macro-actions Q"
-    _panel(errors, "error, with its interval" + _marked(chosen), named)
+    _panel(gains, "gain over one macro-action, nats a frame, left-out data" + _marked(chosen), named)
     _panel(changes, "transitions used per demonstration", named)
-    errors.yaxis.set_major_formatter(PercentFormatter(1.0))
-    for axis in (errors, changes):
-        axis.set_ylim(bottom=min(0, axis.get_ylim()[0]))
+    changes.set_ylim(bottom=0)
+    for axis in (gains, changes):
         axis.margins(x=0.08)
     if over_bound:
-        legend(figure, _cycle(len(lines)), [f"{macros} macro-action{'s'[: macros != 1]}" for macros in lines])
+        legend(figure, _cycle(len(numbers)), [f"{macros} macro-actions" for macros in numbers])
     set_title(figure, title)
     return figure
 
