@@ -9,7 +9,7 @@ PEERS := $(VENV)/.bench-$(VERSION)
 BIN := $(VENV)/bin
 WORKERS ?= 2
 
-.PHONY: help venv test lint types pytest demo clean-demo bench bench-segmentation
+.PHONY: help venv test lint types pytest demo clean-demo bench bench-segmentation bench-selectors
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -86,6 +86,9 @@ LEVELS := $(LEVELS:%=$(BABYAI)/%/meta/info.json)
 
 bench-segmentation: $(PEERS) $(DATASET)/meta/info.json $(LEVELS) ## compare segmentations with other methods' where the truth is known (QUICK=1 likewise)
 	$(BIN)/python benchmarks/bench_segmentation.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
+
+bench-selectors: $(INSTALLED) $(DATASET)/meta/info.json $(LEVELS) ## which criterion tells the true segmentation from its rivals (hours; QUICK=1 likewise)
+	$(BIN)/python benchmarks/bench_selectors.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
 
 $(BABYAI)/%/meta/info.json: | $(INSTALLED)
 	$(BIN)/python datasets/record_babyai.py --root=$(BABYAI)/$* --level=$* --episodes=100 --seed=0

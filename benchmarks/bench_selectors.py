@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from report import header
 from segmentation_sources import QUICK_RULES, RULES, TOLERANCES, Source, check_recorded, sources
-from selector_scores import choices, fit_table, picture, rule_ranks, table
+from selector_scores import choices, fit_table, picture, table
 from torch import Tensor
 from tqdm import tqdm
 
@@ -105,17 +105,18 @@ def main(options: SelectorOptions) -> None:
             for group, seed, source in _cases(options):
                 bar.total = (bar.total or 0) + len(WEIGHTS)
                 key = dict(zip(KEY, (group, source.name, source.case, source.digest, seed), strict=True))
+                case = {name: key[name] for name in KEY if name != "data"}
                 data = None
                 for weight in WEIGHTS:
                     bar.set_postfix_str(f"{group} {source.case}, seed {seed}, switch weight {weight:g}")
-                    known = [row for row in fits if _of(row, key) and row["switch_weight"] == weight]
-                    if options.fresh or not known:
+                    setting = {"switch_weight": weight, "rounds": options.rounds}
+                    if options.fresh or not any(_of(row, key | setting) for row in fits):
                         data = _sorted_levels(source, seed) if data is None else data
                         found, search = _fitted(source, data, seed, weight, options)
-                        fits = [row for row in fits if row not in known]
-                        fits.append(key | {"switch_weight": weight, "rounds": options.rounds} | found)
+                        fits = [row for row in fits if not _of(row, case | {"switch_weight": weight})]
+                        fits.append(key | setting | found)
                         if weight == WEIGHTS[0]:
-                            rivals = [row for row in rivals if not _of(row, key)]
+                            rivals = [row for row in rivals if not _of(row, case)]
                             rivals += [key | row for row in judged_rows(search, source)]
                         _write(rivals, fits, options.rows)
                     bar.update()
@@ -130,15 +131,13 @@ def main(options: SelectorOptions) -> None:
 
 
 def judged_rows(search: Search, source: Source) -> list[Row]:
-    """A row for every rival: its truth, every criterion, and its rank by DPBoost's own rule."""
+    """A row for every rival: its truth, and every criterion, None where it has no say."""
     actions, lengths = torch.from_numpy(source.actions), torch.from_numpy(source.lengths)
-    ranks = rule_ranks(search.verdicts)
     rows = []
-    for place, (rival, rank) in enumerate(zip(search.judged, ranks, strict=True)):
-        truth = _truth(rival.labels, source)
+    for place, rival in enumerate(search.judged):
         found = criteria(rival, search, actions, lengths)
         finite = {name: value if abs(value) < torch.inf else None for name, value in found.items()}
-        rows.append({"rival": place, **truth, **finite, "rule": rank})
+        rows.append({"rival": place, **_truth(rival.labels, source), **finite})
     return rows
 
 
@@ -155,10 +154,8 @@ def criteria(rival: Judged, search: Search, actions: Tensor, lengths: Tensor) ->
     charges = bounded_deviance(rival.scores, targets, MARGIN)
     again = segment(charges, lengths, bound)
     context = costs_without(charges, lengths, bound, REACH).argmin(1)
-    training = float("nan")
-    if search.candidates is not None:
-        same = (search.candidates.labels == rival.labels).all(1)
-        training = min(search.candidates.loss[-1][same].tolist(), default=training)
+    same = (search.candidates.labels == rival.labels).all(1)
+    training = min(search.candidates.loss[-1][same].tolist(), default=float("nan"))
     verdict = asdict(rival.verdict)
     if len(lengths) < 2:
         verdict |= {name: float("nan") for name in ("causal_loss", "causal_error", "gain", "gain_error")}

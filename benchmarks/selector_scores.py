@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,9 @@ CRITERIA = {  # name: the sign that makes less of it better
     "detected": -1,
     "causal_loss": 1,
     "causal_error": 1,
-    "rule": 1,
 }
+RULE = "rule"
+UNKNOWN = {"causal_loss": np.inf, "causal_error": 1.0, "gain": -np.inf, "gain_error": 0.0}  # not left out
 METRICS = {  # heading: metric, how cases are summed up
     "accuracy": ("accuracy", np.nanmean),
     "regret": ("regret", np.nanmean),
@@ -52,6 +54,7 @@ def rule_ranks(verdicts: Sequence[Verdict]) -> list[int]:
 def choices(rivals: Iterable[Row]) -> list[Row]:
     """A row (group, source, case, data, seed, criterion, metric, value) for every case, criterion and metric.
 
+    `rule` is the order in which DPBoost would pick them, by the verdicts that the rows hold.
     Beside the criteria stand a rival drawn at random and the best there is. A criterion that says nothing of
     any rival of a case has no row there; one that says nothing of some chooses among the others.
     """
@@ -66,6 +69,7 @@ def choices(rivals: Iterable[Row]) -> list[Row]:
             name: np.array([np.nan if row[name] is None else sign * row[name] for row in rows_of], float)
             for name, sign in CRITERIA.items()
         }
+        costs[RULE] = np.array(rule_ranks([_verdict(row) for row in rows_of]), float)
         costs |= {CHANCE: np.zeros(len(rows_of)), ORACLE: -accuracy}
         for criterion, cost in costs.items():
             if np.isfinite(cost).any():
@@ -112,7 +116,7 @@ def fit_table(fits: Iterable[Row]) -> list[str]:
 def picture(rows: Iterable[Row]) -> Figure:
     """Rank correlation with accuracy and regret of every criterion, a dot for every group of cases."""
     groups = _by_group(rows)
-    names = [name for name in [*CRITERIA, CHANCE] if any(name in found for found in groups.values())]
+    names = [name for name in [*CRITERIA, RULE, CHANCE] if any(name in found for found in groups.values())]
     figure = Figure(figsize=(WIDTH, 1.8 + 0.36 * len(names)), layout="constrained")
     panels = {"spearman": "rank correlation with accuracy", "regret": "accuracy lost to the best rival"}
     for axis, (metric, heading) in zip(figure.subplots(1, 2, sharey=True), panels.items(), strict=True):
@@ -134,6 +138,12 @@ def picture(rows: Iterable[Row]) -> Figure:
     legend(figure, [PALETTE[place % len(PALETTE)] for place in range(len(groups))], list(groups))
     set_title(figure, "Which criterion tells the true segmentation from its rivals?")
     return figure
+
+
+def _verdict(row: Row) -> Verdict:
+    """The one that a row was made of."""
+    names = [field.name for field in fields(Verdict)]
+    return Verdict(**{name: UNKNOWN[name] if row[name] is None else row[name] for name in names})
 
 
 def _choice(cost: np.ndarray, accuracy: np.ndarray, boundary_f1: np.ndarray) -> dict[str, float]:

@@ -72,8 +72,9 @@ class Trainer:
         self._settings = _settings(options.planner)
         most = max(macros for macros, _ in self._settings)
         if most > len(self.actions):
+            option = "max_macros" if options.planner.macros == "auto" else "macros"
             raise ValueError(
-                f"planner.macros is {most} but {demonstrations.root} has {len(self.actions)} frames: "
+                f"planner.{option} is {most} but {demonstrations.root} has {len(self.actions)} frames: "
                 "ask for fewer"
             )
         if options.planner.early_stopping and int(self._groups.max()) == 0:

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
+from dpmacro.choosing import Point
 from dpmacro.figures import (
     OUTCOME_COLOURS,
     curves,
@@ -65,15 +66,8 @@ def sure_timelines():
 
 def points(bounds):
     return [
-        {
-            "macros": q,
-            "max_transitions": s,
-            "error": 0.3 / q / s,
-            "low": 0.2 / q / s,
-            "high": 0.5,
-            "changes": s,
-        }
-        for q in (1, 2, 3)
+        Point(q, s, 0.03 * q - 0.01 * (q - 2) ** 2 * s, 0.008 * s, s % 2 > 0, 0.8 * s)
+        for q in (2, 3, 4)
         for s in bounds(q)
     ]
 
@@ -109,7 +103,9 @@ PICTURES = {
     "busy timeline": busy_timeline,
     "sure timelines": sure_timelines,
     "selection by bound": lambda: selection_chart(points(lambda q: range(1, 6)), 4, "Which Q and S"),
-    "selection by macros": lambda: selection_chart(points(lambda q: [q])),
+    "selection by macros": lambda: selection_chart(points(lambda q: [q]), 1, "Which Q"),
+    "one macro-action chosen": lambda: selection_chart(points(lambda q: [q - 1, 2 * q - 2])),
+    "one point": lambda: selection_chart(points(lambda q: [1])[:1], 0),
     "elbow": lambda: elbow(np.array([3.0, 1.0, 0.9]), 1, "Cost"),
     "steep elbow": lambda: elbow(np.array([80.0, 1.0, 0.9]), 2),
     "one bound": lambda: elbow(np.array([3.0])),
@@ -280,18 +276,47 @@ def test_heat_lies_on_the_weighted_pixel():
     assert red[0] > 2 * red[1]
 
 
+def marks(axis):
+    return [line for line in axis.lines if line.get_markersize() == 15]
+
+
 def test_a_selection_has_a_line_for_every_number_of_macro_actions_and_marks_the_chosen():
     rows = points(lambda q: range(1, 6))
-    figure = selection_chart(rows, 7)
-    errors, changes = figure.axes
-    assert len(errors.containers) == 3 and len(changes.lines) == 4
-    (marked,) = [line for line in errors.lines if line.get_markersize() == 15]
-    assert marked.get_ydata() == [rows[7]["error"]] and marked.get_xdata()[0] == pytest.approx(3, abs=0.2)
-    whiskers = np.array(errors.containers[1].lines[2][0].get_segments())[:, :, 1]
-    assert whiskers == pytest.approx(np.array([[row["low"], row["high"]] for row in rows[5:10]]))
-    over_macros = selection_chart(points(lambda q: [q]), 1)
-    assert len(over_macros.axes[0].containers) == 1
-    assert over_macros.axes[0].get_xlabel() == "macro-actions Q"
+    gains, changes = selection_chart(rows, 7).axes
+    assert len(gains.containers) == len(changes.lines) - 1 == 3
+    for axis, value in ((gains, rows[7].gain), (changes, rows[7].changes)):
+        (marked,) = marks(axis)
+        assert marked.get_ydata() == [value] and marked.get_xdata()[0] == pytest.approx(3, abs=0.2)
+    for number, container in enumerate(gains.containers):
+        own = rows[5 * number : 5 * number + 5]
+        whiskers = np.array(container.lines[2][0].get_segments())[:, :, 1]
+        wanted = [[row.gain - row.error, row.gain + row.error] for row in own]
+        assert whiskers == pytest.approx(np.array(wanted))
+        assert container.lines[0].get_ydata() == pytest.approx([row.gain for row in own])
+        assert changes.lines[number].get_ydata() == pytest.approx([row.changes for row in own])
+    assert gains.get_xlabel() == "bound S on transitions" and gains.get_title(loc="left").endswith("chosen)")
+
+
+def test_a_selection_with_one_bound_for_every_number_has_one_line_over_the_numbers():
+    rows = points(lambda q: [q])[::-1]  # in any order
+    gains, changes = selection_chart(rows, 1).axes
+    (container,) = gains.containers
+    assert container.lines[0].get_xdata() == pytest.approx([2, 3, 4])
+    assert container.lines[0].get_ydata() == pytest.approx([row.gain for row in rows[::-1]])
+    assert [marks(axis)[0].get_xdata() for axis in (gains, changes)] == [[3.0], [3.0]]
+    assert gains.get_xlabel() == changes.get_xlabel() == "macro-actions Q"
+
+
+def test_a_selection_of_one_macro_action_marks_the_line_at_no_gain():
+    def zero(axis):
+        (line,) = [line for line in axis.lines if list(line.get_ydata()) == [0, 0]]
+        return line.get_linewidth()
+
+    rows = points(lambda q: [q, q + 1])
+    one, other = selection_chart(rows).axes[0], selection_chart(rows, 0).axes[0]
+    assert zero(one) > 2 * zero(other)
+    assert not marks(one) and len(marks(other)) == 1
+    assert one.get_ylim()[0] <= 0 <= one.get_ylim()[1]
     with pytest.raises(ValueError, match="no points"):
         selection_chart([])
 

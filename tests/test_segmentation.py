@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.segmentation import segment, transition_counts
+from dpmacro.segmentation import cost_of, segment, transition_counts
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 
@@ -20,11 +20,12 @@ def brute_force(costs: np.ndarray, bound: int, transition_costs: np.ndarray | No
     for labels in itertools.product(range(n_macros), repeat=n_frames):
         changes = [n for n in range(1, n_frames) if labels[n] != labels[n - 1]]
         if len(changes) <= bound:
-            best = min(best, cost_of(labels, costs, transition_costs))
+            best = min(best, loop_cost(labels, costs, transition_costs))
     return best
 
 
-def cost_of(labels, costs, transition_costs) -> float:
+def loop_cost(labels, costs, transition_costs) -> float:
+    """What the labels of one trajectory cost."""
     total = sum(costs[n, q] for n, q in enumerate(labels))
     if transition_costs is not None:
         pairs = [(n, labels[n - 1], labels[n]) for n in range(1, len(labels)) if labels[n] != labels[n - 1]]
@@ -51,7 +52,7 @@ def test_equals_enumeration_of_every_labelling(device, integers, with_transition
         labels = result.labels.tolist()
         by_bound = [brute_force(costs, s, extra) for s in range(bound + 1)]
         assert result.cost_by_bound[0].tolist() == pytest.approx(by_bound, abs=1e-9)
-        assert cost_of(labels, costs, extra) == pytest.approx(by_bound[-1], abs=1e-9)
+        assert loop_cost(labels, costs, extra) == pytest.approx(by_bound[-1], abs=1e-9)
         n_changes = int(transition_counts(result.labels, torch.tensor([n_frames], device=device)))
         assert n_changes <= bound
         if integers:
@@ -77,6 +78,44 @@ def test_a_ragged_batch_equals_its_trajectories_one_by_one(lengths, n_macros, bo
     torch.testing.assert_close(batch.cost, sums)
     assert (transition_counts(batch.labels, torch.tensor(lengths)) <= bound).all()
     assert (batch.cost_by_bound.diff(dim=1) <= 0).all(), "a looser bound is never dearer"
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@settings(max_examples=60, deadline=None)
+@given(
+    lengths=st.lists(st.integers(1, 6), min_size=1, max_size=5),
+    n_macros=st.integers(1, 4),
+    seed=st.integers(0, 2**16),
+    with_transition_costs=st.booleans(),
+)
+def test_the_cost_of_labels_is_that_of_a_plain_loop(device, lengths, n_macros, seed, with_transition_costs):
+    generator = np.random.default_rng(seed)
+    n_frames = sum(lengths)
+    labels, costs = generator.integers(0, n_macros, n_frames), generator.normal(size=(n_frames, n_macros))
+    extra = generator.normal(size=(n_frames, n_macros, n_macros)) if with_transition_costs else None
+    if extra is not None:
+        extra[:, range(n_macros), range(n_macros)] = np.nan  # never read
+        extra[np.cumsum([0, *lengths[:-1]])] = np.nan
+    parts = np.split(np.arange(n_frames), np.cumsum(lengths)[:-1])
+    wanted = sum(
+        loop_cost(labels[part].tolist(), costs[part], None if extra is None else extra[part])
+        for part in parts
+    )
+    changing = None if extra is None else torch.tensor(extra, device=device)
+    given = torch.tensor(labels, device=device), torch.tensor(costs, device=device), torch.tensor(lengths)
+    found = cost_of(*given, changing)
+    assert found.dtype == torch.float64 and float(found) == pytest.approx(wanted, abs=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(1, 12), min_size=1, max_size=4), st.integers(0, 4), st.integers(0, 2**16))
+def test_the_cost_of_the_cheapest_labels_is_the_cost_of_the_segmentation(lengths, bound, seed):
+    generator = torch.Generator().manual_seed(seed)
+    costs = torch.randn(sum(lengths), 3, generator=generator)
+    changing = torch.randn(sum(lengths), 3, 3, generator=generator)
+    found = segment(costs, torch.tensor(lengths), bound, changing)
+    own = cost_of(found.labels, costs, torch.tensor(lengths), changing)
+    assert float(own) == pytest.approx(float(found.cost.sum()), abs=1e-9)
 
 
 def test_a_shift_of_all_costs_moves_the_cost_and_not_the_labels():

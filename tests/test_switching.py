@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from dpmacro.folds import folds_of
 from dpmacro.learners import Frames
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
@@ -106,17 +105,6 @@ def test_causal_labels_take_the_first_firing_and_the_strongest_of_several():
 
 def test_the_starting_macro_is_the_most_common_first_label():
     assert starting_macro(torch.tensor([1, 0, 1, 2, 2, 0]), torch.tensor([2, 1, 3])) == 1
-
-
-def test_folds_are_even():
-    assert folds_of(11, 4, torch.Generator().manual_seed(0)).bincount().tolist() == [3, 3, 3, 2]
-
-
-def test_trajectories_of_a_group_share_their_fold():
-    groups = torch.tensor([0, 0, 0, 4, 2, 2, 9])  # numbers may have gaps
-    fold_of = folds_of(7, 4, torch.Generator().manual_seed(0), groups)
-    assert fold_of[0] == fold_of[1] == fold_of[2] and fold_of[4] == fold_of[5]
-    assert sorted({int(fold_of[k]) for k in (0, 3, 4, 6)}) == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(("window", "rounds", "message"), [(0, 5, "window is 0"), (3, 0, "rounds 0")])

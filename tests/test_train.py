@@ -15,11 +15,12 @@ from test_demonstrations import SPOILED, root  # noqa: F401  a fixture
 import train
 from dpmacro import cli
 from dpmacro.columns import GIB
+from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.features import previous_images
 from dpmacro.options import TrainOptions
 from dpmacro.policy import MacroPolicy
-from dpmacro.selection import FINALISTS, FOLDS
+from dpmacro.selection import FINALISTS, LEADERS
 from dpmacro.training import TABLES
 
 SMALL = [
@@ -45,6 +46,24 @@ def trained(recorded, tmp_path_factory) -> Path:
     return output
 
 
+def test_auto_tries_several_numbers_of_macro_actions(recorded, tmp_path, monkeypatch, capsys):
+    choice = ["--planner.macros=auto", "--planner.max_macros=3", f"--output_dir={tmp_path / 'run'}"]
+    call(monkeypatch, f"--dataset.root={recorded}", *choice, *SMALL)
+    told = capsys.readouterr().out
+    for setting in ("Q=2 S=1", "Q=2 S=2", "Q=3 S=2", "Q=3 S=4"):
+        assert told.count(setting) == 1
+    assert (tmp_path / "run/figures/selection.png").exists()
+    policy = MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model")
+    marked = re.findall(r"Q=(\d) S=(\d) .*<-$", told, re.MULTILINE)
+    if "one macro-action: no other gains anything" in told:
+        assert not marked
+        assert policy.config.macros == 1
+    else:
+        [(macros, bound)] = marked
+        assert policy.config.macros <= int(macros)  # unused ones are pruned
+        assert policy.config.max_transitions == int(bound)
+
+
 def test_a_run_folder_holds_what_lerobot_users_look_for(trained, recorded):
     checkpoint = trained / "checkpoints" / "000012"
     assert (trained / "checkpoints" / "last").resolve() == checkpoint.resolve()
@@ -54,7 +73,7 @@ def test_a_run_folder_holds_what_lerobot_users_look_for(trained, recorded):
     state = load_file(checkpoint / "training_state/segmentation.safetensors")
     assert len(state["labels"]) == int(state["lengths"].sum()) == 30
     pictures = {path.stem for path in (trained / "figures").iterdir()}
-    assert pictures == {"timeline", "segmentation", "objective"}
+    assert pictures == {"timeline", "segmentation", "objective", "transitions", "pixels", "elbow"}
     assert not list(trained.rglob(".*")), "no temporary file stays"
 
 
@@ -74,7 +93,8 @@ def test_tensorboard_has_the_quantities_of_every_stage(trained):
     ):
         assert f"segmentation/fit/{name}" in scalars
     assert set(events.Tags()["images"]) == {
-        f"figures/{name}" for name in ("timeline", "segmentation", "objective")
+        f"figures/{name}"
+        for name in ("timeline", "segmentation", "objective", "transitions", "pixels", "elbow")
     }
     assert len(events.Scalars("loss/fit")) == 12
 
@@ -143,7 +163,7 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
     monkeypatch.setattr("dpmacro.columns.LIBRARIES", 0)
     monkeypatch.setattr("dpmacro.columns.LEAST_COLUMNS", 20)
     frames, height, width, _ = Demonstrations.load(recorded).images.shape
-    tables = TABLES * 4 * 2 * FINALISTS * FOLDS * 3  # 2 macro-actions, 3 actions
+    tables = TABLES * 4 * 2 * (FINALISTS + LEADERS) * FOLDS * 3  # 2 macro-actions, 3 actions
     limit = frames * (3 * height * width + tables + 150 + 4 * 100) / GIB
     monkeypatch.setattr("dpmacro.columns.VALUES", 1000)
     monkeypatch.setattr("dpmacro.columns.SAMPLED", 10)
@@ -165,7 +185,19 @@ MISTAKES = {
     "missing truth": (["--dataset.root={data}", "--dataset.truth=skill"], "no integer column 'skill'"),
     "missing episode": (["--dataset.root={data}", "--dataset.episodes=[7]"], "7"),
     "unknown option": (["--dataset.root={data}", "--planner.macro=2"], r"did you mean --planner\.macros\?"),
-    "unreadable value": (["--dataset.root={data}", "--planner.macros=two"], "planner.macros"),
+    "unreadable value": (
+        ["--dataset.root={data}", "--planner.macros=two"],
+        "planner.macros is 'two': give a number, or auto",
+    ),
+    "too few to try": (["--dataset.root={data}", "--planner.max_macros=1"], "planner.max_macros is 1"),
+    "negative switch weight": (
+        ["--dataset.root={data}", "--planner.switch_weight=-1"],
+        "planner.switch_weight is -1",
+    ),
+    "auto with more macros than frames": (
+        ["--dataset.root={data}", "--planner.macros=auto", "--planner.max_macros=31"],
+        "planner.max_macros is 31 but",
+    ),
     "no macros": (["--dataset.root={data}", "--planner.macros=0"], "planner.macros is 0"),
     "more macros than frames": (
         ["--dataset.root={data}", "--planner.macros=31", "--output_dir={tmp}/run"],

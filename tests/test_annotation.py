@@ -1,0 +1,140 @@
+"""A trained policy finds its own labels again, and says how sure it is of them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from dpmacro import annotation
+from dpmacro.annotation import annotate
+from dpmacro.columns import Plan, prepare
+from dpmacro.demonstrations import Demonstrations
+from dpmacro.discovery import DPBoost
+from dpmacro.features import make_features
+from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.segmentation import transition_counts
+
+SHAPE = (6, 8)
+LENGTHS = np.array([40, 25, 35])
+NAMES = ("forward", "left", "right", "never seen")
+
+
+def noise_with_a_rule(seed=0):
+    """The left half of an image decides before a hidden change, the right half after it."""
+    rng = np.random.default_rng(seed)
+    images = rng.integers(0, 256, (LENGTHS.sum(), *SHAPE, 3), np.uint8)
+    bright = rng.integers(0, 2, (LENGTHS.sum(), 2))
+    images[:, :, :4] = images[:, :, :4] // 2 + 128 * bright[:, :1, None, None].astype(np.uint8)
+    images[:, :, 4:] = images[:, :, 4:] // 2 + 128 * bright[:, 1:, None, None].astype(np.uint8)
+    rule = np.concatenate([np.arange(length) >= length // 2 for length in LENGTHS]).astype(int)
+    actions = bright[np.arange(len(rule)), rule] + rule
+    return Demonstrations(images, actions, LENGTHS, NAMES, 10, None, {}, Path("data/some"))
+
+
+def train(macros=2, bound=1):
+    """A policy and the labels it was trained with, from the objective alone."""
+    demonstrations = noise_with_a_rule()
+    generator = torch.Generator().manual_seed(0)
+    features = make_features("rectangles", *SHAPE, 60, generator)
+    images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(LENGTHS)
+    plan = Plan(features.count, features.count, 0, 0.0)
+    features, quantiser, data = prepare(images, lengths, features, plan, generator)
+    options = {"rounds": 15, "restarts": 4, "discovery_rounds": 20, "warmup": 5, "shrinkage": 0.3}
+    found = DPBoost(macros, bound, switch_weight=0.0, **options).fit(data, demonstrations.actions, LENGTHS)
+    config = PolicyConfig("dpboost", found.macros, 0, NAMES, SHAPE, "rectangles", max_transitions=bound)
+    policy = MacroPolicy.compact(config, features, quantiser, found.classifiers, None)
+    return policy, demonstrations, found
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return train()
+
+
+def test_the_labels_are_those_of_the_training(trained):
+    policy, demonstrations, found = trained
+    seen = annotate(policy, demonstrations)
+    assert found.macros == 2 and torch.equal(seen.labels, found.labels)
+    assert float(seen.cost_by_bound[:, -1].sum()) / len(found.labels) == pytest.approx(
+        float(found.loss[-1]), rel=1e-4
+    )
+    assert seen.cost_by_bound.shape == (3, 2)
+
+
+def test_an_annotation_survives_files_and_does_not_depend_on_the_portion(trained, tmp_path, monkeypatch):
+    policy, demonstrations, _ = trained
+    seen = annotate(policy, demonstrations)
+    policy.save(tmp_path)
+    monkeypatch.setattr(annotation, "CHUNK", 7)  # the first frame of a portion has one before it
+    again = annotate(MacroPolicy.load(tmp_path), demonstrations)
+    assert torch.equal(again.labels, seen.labels)
+    torch.testing.assert_close(again.confidence, seen.confidence)
+    torch.testing.assert_close(again.cost_by_bound, seen.cost_by_bound)
+
+
+def test_trajectories_do_not_see_one_another(trained):
+    policy, demonstrations, _ = trained
+    together = annotate(policy, demonstrations)
+    alone = annotate(policy, demonstrations.select([1]))
+    assert torch.equal(alone.labels, together.labels[40:65])
+    torch.testing.assert_close(alone.confidence, together.confidence[40:65])
+
+
+def test_confidence_is_in_range_and_least_where_the_label_could_be_another(trained):
+    policy, demonstrations, _ = trained
+    seen = annotate(policy, demonstrations)
+    assert seen.confidence.dtype == torch.float32 and seen.confidence.shape == seen.labels.shape
+    assert bool((seen.confidence >= 0).all()) and bool((seen.confidence <= 1).all())
+    changes = seen.labels.diff().nonzero()[:, 0]
+    beside = torch.cat([changes, changes + 1])
+    assert float(seen.confidence[beside].mean()) < float(seen.confidence.mean())
+
+
+@pytest.mark.parametrize("bound", [0, 1, 5])
+def test_a_bound_of_ones_own(trained, bound):
+    policy, demonstrations, _ = trained
+    seen = annotate(policy, demonstrations, bound)
+    lengths = torch.from_numpy(LENGTHS)
+    assert bool((transition_counts(seen.labels, lengths) <= bound).all())
+    assert seen.cost_by_bound.shape == (3, bound + 1)
+    default = annotate(policy, demonstrations).cost_by_bound
+    shared = min(bound, 1) + 1
+    torch.testing.assert_close(seen.cost_by_bound[:, :shared], default[:, :shared])
+
+
+@pytest.mark.parametrize(("macros", "given", "bound"), [(2, None, 1), (2, 0, 0), (2, 4, 4)])
+def test_the_default_bound_is_that_of_the_policy(trained, macros, given, bound):
+    policy, demonstrations, _ = trained
+    changed = replace(policy, config=replace(policy.config, macros=macros, max_transitions=given))
+    assert annotate(changed, demonstrations).cost_by_bound.shape == (3, bound + 1)
+
+
+def test_a_baseline_is_sure_of_its_only_label():
+    policy, demonstrations, _ = train(macros=1, bound=0)
+    seen = annotate(policy, demonstrations)
+    assert not seen.labels.any() and bool((seen.confidence == 1).all())
+
+
+@pytest.mark.parametrize(
+    ("change", "bound", "message"),
+    [
+        (
+            {"images": np.zeros((100, 48, 64, 3), np.uint8)},
+            None,
+            r"data/some has images of 48x64: the policy was trained on 6x8",
+        ),
+        (
+            {"action_names": ("up", "down")},
+            None,
+            r"data/some has the actions up, down: the policy knows forward, left, right, never seen",
+        ),
+        ({}, -1, "max_transitions is -1"),
+    ],
+)
+def test_what_does_not_fit_is_named_in_a_line(trained, change, bound, message):
+    policy, demonstrations, _ = trained
+    with pytest.raises(ValueError, match=message) as error:
+        annotate(policy, replace(demonstrations, **change), bound)
+    assert "\n" not in str(error.value)
