@@ -19,7 +19,15 @@ STARTS = [0, 30, 31, 56]
 
 
 def run(
-    seed=0, restarts=1, macros=3, bound=2, rounds=14, warmup=4, extra=None, on_round=lambda _: None, device="cpu"
+    seed=0,
+    restarts=1,
+    macros=3,
+    bound=2,
+    rounds=14,
+    warmup=4,
+    extra=None,
+    on_round=lambda _: None,
+    device="cpu",
 ):
     generator = torch.Generator().manual_seed(seed)
     levels = torch.randint(0, 256, (8, FRAMES), dtype=torch.uint8, generator=generator)
@@ -27,7 +35,18 @@ def run(
     starts = random_cuts(LENGTHS, restarts, macros, bound, generator)
     learner = StumpLearner(SortedLevels.build(levels.to(device)))
     boosting = Boosting(learner, class_targets(actions, 3), restarts * macros, 0.3, generator)
-    given = actions, LENGTHS, starts, macros, bound, rounds, warmup, "fit", on_round, extra
+    given = (
+        actions,
+        LENGTHS,
+        starts,
+        macros,
+        bound,
+        rounds,
+        warmup,
+        "fit",
+        on_round or (lambda _: None),
+        extra,
+    )
     return alternate(boosting, *given), starts, boosting
 
 
@@ -73,7 +92,9 @@ def test_the_loss_is_what_labels_cost(extra, device):
     assert [report.loss for report in reports] == pytest.approx(ended.loss[:, 0].tolist())
     assert torch.equal(reports[-1].labels.cpu(), ended.labels[0])
     frames = torch.arange(FRAMES)
-    right = boosting.scores.cpu()[frames, ended.labels[0]].argmax(1) == boosting.targets.cpu()[:, 0].int().argmax(1)
+    right = boosting.scores.cpu()[frames, ended.labels[0]].argmax(1) == boosting.targets.cpu()[
+        :, 0
+    ].int().argmax(1)
     assert reports[-1].accuracy == pytest.approx(float(right.float().mean()))
 
 

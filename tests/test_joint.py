@@ -74,7 +74,9 @@ def charged_by_hand(labels, told, lengths, macros):
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.data(), st.integers(2, 4), st.lists(st.integers(1, 7), min_size=1, max_size=4), st.integers(0, 2**16))
+@given(
+    st.data(), st.integers(2, 4), st.lists(st.integers(1, 7), min_size=1, max_size=4), st.integers(0, 2**16)
+)
 def test_what_labels_pay_is_what_every_frame_is_asked(data, macros, lengths, seed):
     some = st.lists(st.integers(0, macros - 1), min_size=sum(lengths), max_size=sum(lengths))
     judged, task = made_up(data.draw(some), lengths, macros, seed=seed)
@@ -149,7 +151,7 @@ def test_the_bound_is_kept(macros, bound, seed):
 
 
 def test_a_few_misplaced_changes_are_corrected_by_what_was_learned_from_the_others():
-    """Column 0 shows the change; columns 1 and 2 decide the action, before it and after; near it they agree."""
+    """Column 0 shows the change; columns 1 and 2 decide the action, before and after; near it alike."""
     n, length, misplaced = 12, 60, [3, 8]
     generator = torch.Generator().manual_seed(0)
     levels = torch.randint(0, 120, (6, n, length), dtype=torch.uint8, generator=generator)
