@@ -36,7 +36,8 @@ def annotate(
     With the costs c_n(q) of the policy's classifiers the bounded segmentation is exact. The confidence of a
     frame is 1 - exp(-d), where d is what the best segmentation with another label there would cost more in
     exponential loss; it says how sharply these classifiers decide, which on the demonstrations they were
-    trained on is sharper than on new ones.
+    trained on is sharper than on new ones. The switch functions have no say here, unlike in training
+    (dpmacro/joint.py), so that a change which the actions leave open may lie elsewhere.
 
     Args:
         policy: from a training run.

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from segmented import random_demonstrations, random_policy
 
 from dpmacro import annotation
 from dpmacro.alternation import Alternated
@@ -13,7 +14,8 @@ from dpmacro.annotation import annotate
 from dpmacro.columns import Plan, prepare
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, Search
-from dpmacro.features import make_features
+from dpmacro.features import make_features, previous_images
+from dpmacro.learners import Frames
 from dpmacro.policy import MacroPolicy, PolicyConfig
 from dpmacro.segmentation import transition_counts
 from dpmacro.selection import Task, judge
@@ -72,32 +74,6 @@ def test_the_labels_are_those_of_the_training(trained):
     assert seen.cost_by_bound.shape == (3, 2)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="BUG: annotate knows nothing of the switch costs that placed the training's labels",
-)
-def test_the_labels_are_those_of_the_training_where_switch_costs_joined():
-    """Frames are lit from above for three frames from the change on; one action in five is wrong."""
-    rng = np.random.default_rng(0)
-    n, length = 10, 60
-    since = np.tile(np.arange(length), n) - rng.integers(20, 40, n).repeat(length)
-    rule, lit = (since >= 0).astype(np.int64), (since >= 0) & (since < 3)
-    bright = rng.integers(0, 2, (n * length, 2))
-    images = rng.integers(0, 64, (n * length, *SHAPE, 3), np.uint8)
-    images += 96 * bright.repeat(4, axis=1)[:, None, :, None].astype(np.uint8)
-    images[lit, :2] = 255
-    wrong = rng.random(n * length) < 0.2
-    actions = np.where(wrong, 1 - bright[:, 0], bright[np.arange(n * length), rule])
-    demonstrations = Demonstrations(
-        images, actions, np.full(n, length), NAMES, 10, None, {}, Path("data/some")
-    )
-    policy, found = train(demonstrations, truth=torch.from_numpy(rule), switch_weight=1.0, rounds=60)
-    if not (found.search.kept.verdict.runnable and np.array_equal(found.labels, rule)):
-        raise RuntimeError("the switch costs should have kept the truth")
-    assert torch.equal(annotate(policy, demonstrations).labels, found.labels)
-
-
 def test_an_annotation_survives_files_and_does_not_depend_on_the_portion(trained, tmp_path, monkeypatch):
     policy, demonstrations, _ = trained
     seen = annotate(policy, demonstrations)
@@ -107,6 +83,21 @@ def test_an_annotation_survives_files_and_does_not_depend_on_the_portion(trained
     assert torch.equal(again.labels, seen.labels)
     torch.testing.assert_close(again.confidence, seen.confidence)
     torch.testing.assert_close(again.cost_by_bound, seen.cost_by_bound)
+
+
+def test_costs_are_those_of_the_classifiers_at_every_image_and_the_one_before(monkeypatch):
+    """Under a bound of 0 a trajectory has the macro-action that is cheapest throughout."""
+    monkeypatch.setattr(annotation, "CHUNK", 5)
+    policy, demonstrations = random_policy(), random_demonstrations()
+    images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
+    levels = policy.quantiser.levels(policy.features.values(images, previous_images(images, lengths)))
+    right = torch.nn.functional.one_hot(torch.from_numpy(demonstrations.actions), 3) == 1
+    scores = policy.actor.scores(Frames(levels)).double()
+    costs = torch.where(right[:, None], -scores, scores).exp().sum(2)
+    wanted = torch.stack([part.sum(0) for part in costs.split(lengths.tolist())])
+    seen = annotate(policy, demonstrations, 0)
+    torch.testing.assert_close(seen.cost_by_bound[:, 0], wanted.amin(1), rtol=1e-5, atol=1e-5)
+    assert torch.equal(seen.labels, wanted.argmin(1).repeat_interleave(lengths))
 
 
 def test_trajectories_do_not_see_one_another(trained):

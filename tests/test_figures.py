@@ -321,7 +321,6 @@ def test_a_selection_of_one_macro_action_marks_the_line_at_no_gain():
         selection_chart([])
 
 
-@pytest.mark.xfail(strict=True, reason="ticks of a single point are at fractions of a macro-action")
 def test_a_selection_of_one_point_counts_in_whole_numbers():
     figure = selection_chart(points(lambda q: [1])[:1], 0)
     to_image(figure)

@@ -73,3 +73,8 @@ def test_stretches_of_one_trajectory_fall_into_every_fold_equally():
     stretches = fold_of.view(4 * STRETCHES, -1)
     assert bool((stretches == stretches[:, :1]).all())
     assert not torch.equal(fold_of, frame_folds(torch.tensor([120]), 4, generator(1)))
+
+
+def test_stretches_of_several_trajectories_are_dealt_apart():
+    first, second = frame_folds(torch.tensor([120, 120]), 4, generator()).chunk(2)
+    assert not torch.equal(first, second)

@@ -145,7 +145,7 @@ def elbow(cost_by_bound: Float[np.ndarray, " bounds"], chosen: int | None = None
 def _panel(axis: Axes, quantity: str, x_name: str) -> None:
     axis.set_title(quantity, fontsize=11, loc="left", color=INK)
     axis.set_xlabel(x_name)
-    axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    axis.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1))
     plain(axis)
 
 
