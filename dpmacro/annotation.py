@@ -6,9 +6,11 @@ import torch
 from jaxtyping import Float, Float32, Int64
 from torch import Tensor
 
+from dpmacro.alternation import SwitchCosts
 from dpmacro.boosting import class_targets, exponentials_of
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.features import frames_before
+from dpmacro.joint import charges_of
 from dpmacro.learners import Frames
 from dpmacro.marginals import margins
 from dpmacro.policy import MacroPolicy
@@ -36,15 +38,15 @@ def annotate(
     With the costs c_n(q) of the policy's classifiers the bounded segmentation is exact. The confidence of a
     frame is 1 - exp(-d), where d is what the best segmentation with another label there would cost more in
     exponential loss; it says how sharply these classifiers decide, which on the demonstrations they were
-    trained on is sharper than on new ones. The switch functions have no say here, unlike in training
-    (dpmacro/joint.py), so that a change which the actions leave open may lie elsewhere.
+    trained on is sharper than on new ones. Where switch functions had a say in the training's segmentation
+    (dpmacro/joint.py), the policy's have theirs here.
 
     Args:
         policy: from a training run.
-        demonstrations: with the policy's actions and image size.
+        demonstrations: with as many actions as the policy has, and its image size.
         max_transitions: S; by default the one that the policy was trained with.
 
-    Raises ValueError where images or actions are not those of the policy.
+    Raises ValueError where image size or number of actions are not those of the policy.
     """
     config = policy.config
     if tuple(demonstrations.images.shape[1:3]) != config.image_shape:
@@ -61,25 +63,34 @@ def annotate(
     if max_transitions is None:
         max_transitions = config.macros - 1 if config.max_transitions is None else config.max_transitions
     lengths = torch.from_numpy(demonstrations.lengths)
-    costs = _costs(policy, demonstrations)
-    found = segment(costs, lengths, max_transitions)
-    sure = margins(costs, lengths, max_transitions, found.labels)
+    costs, switching = _costs(policy, demonstrations)
+    changing = None if switching is None else switching.changing
+    found = segment(costs, lengths, max_transitions, changing)
+    sure = margins(costs, lengths, max_transitions, found.labels, changing)
     confidence = -torch.expm1(-sure.clamp(min=0)).float()
     return Annotation(found.labels.cpu(), confidence.cpu(), found.cost_by_bound.cpu())
 
 
 @torch.inference_mode()
-def _costs(policy: MacroPolicy, demonstrations: Demonstrations) -> Float[Tensor, "frames macros"]:
-    """c_n(q) = sum_m exp(-y_n^m f_q^m(x_n)) of every frame."""
-    images = torch.from_numpy(demonstrations.images)
-    before = frames_before(torch.from_numpy(demonstrations.lengths))
+def _costs(
+    policy: MacroPolicy, demonstrations: Demonstrations
+) -> tuple[Float[Tensor, "frames macros"], SwitchCosts | None]:
+    """c_n(q) = sum_m exp(-y_n^m f_q^m(x_n)) and the switch functions' costs of staying, and their costs."""
+    images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
+    before = frames_before(lengths)
     actions = torch.from_numpy(demonstrations.actions).to(policy.device)
     targets = class_targets(actions, len(policy.config.action_names))
-    parts = []
+    costs, switches = [], []
     for frames in torch.arange(len(images)).split(CHUNK):
         current, previous = images[frames].to(policy.device), images[before[frames]].to(policy.device)
-        levels = policy.quantiser.levels(policy.features.values(current, previous))
-        scores = policy.actor.scores(Frames(levels, current, previous))
-        seen = targets[frames.to(policy.device), :, : scores.shape[2]]
-        parts.append(exponentials_of(scores, seen).sum(2))
-    return torch.cat(parts)
+        seen = Frames(policy.quantiser.levels(policy.features.values(current, previous)), current, previous)
+        scores = policy.actor.scores(seen)
+        costs.append(exponentials_of(scores, targets[frames.to(policy.device), :, : scores.shape[2]]).sum(2))
+        if policy.switcher is not None and policy.config.switch_weight:
+            switches.append(policy.switcher.scores(seen)[:, :, 0])
+    if not switches:
+        return torch.cat(costs), None
+    log_odds = torch.tensor(policy.config.change_log_odds, device=policy.device)
+    weight, pairs = policy.config.switch_weight, policy.config.switches
+    switching = charges_of(torch.cat(switches), pairs, log_odds, lengths, weight)
+    return torch.cat(costs) + switching.staying, switching

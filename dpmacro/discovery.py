@@ -97,6 +97,7 @@ class DPBoostResult:
     classifiers: StrongClassifier  # problems are macro-actions, classes are actions
     quantiser: Quantiser | None  # from raw feature columns to levels; None where levels were given
     search: Search | None  # None where there was nothing to discover
+    switch_weight: float  # how much the switch functions had to say in the end; 0 where nothing
 
     @property
     def macros(self) -> int:
@@ -219,7 +220,8 @@ class DPBoost:
         sure = torch.ones(len(found)) if search is None else confidence(search.kept, task, found)
         used, pruned = found.unique(return_inverse=True)
         strong = boosting.strong().select(used.to(self.device))
-        return DPBoostResult(pruned, sure, fitted.loss[:, 0], strong, quantiser, search)
+        weight = 0.0 if costs is None else self.switch_weight
+        return DPBoostResult(pruned, sure, fitted.loss[:, 0], strong, quantiser, search, weight)
 
     def search(
         self,

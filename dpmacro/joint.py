@@ -11,8 +11,10 @@ trajectory, and T enters the inner minimum of the segmentation. All scores are t
 functions that never saw the trajectory: on their own training data a few dozen changes can always be told.
 """
 
+from collections.abc import Sequence
+
 import torch
-from jaxtyping import Int64
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from dpmacro.alternation import SwitchCosts
@@ -21,7 +23,7 @@ from dpmacro.segmentation import segment
 from dpmacro.selection import Judged, Task
 from dpmacro.switching import macro_segments
 
-__all__ = ["resegmented", "switch_costs"]
+__all__ = ["change_log_odds", "charges_of", "resegmented", "switch_costs"]
 
 MARGIN = 3.0  # of the bounded deviances
 
@@ -38,31 +40,43 @@ def resegmented(judged: Judged, task: Task, weight: float = 1.0) -> Int64[Tensor
 
 
 def switch_costs(judged: Judged, task: Task, weight: float = 1.0) -> SwitchCosts:
-    """stay_n(q) and T_n(q', q), in nats times `weight`.
+    """What left-out switch functions of a rival charge, in nats times `weight`."""
+    log_odds = change_log_odds(judged.labels, task.lengths, task.macros)
+    return charges_of(judged.switches.held_out, judged.switches.pairs, log_odds, task.lengths, weight)
+
+
+def change_log_odds(
+    labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"], n_macros: int
+) -> Float[Tensor, "macros macros"]:
+    """Log odds, for a frame of q', that q comes next: one more change than was seen in one more frame."""
+    frames_of = labels.bincount(minlength=n_macros)
+    changes = torch.zeros(n_macros, n_macros)
+    for event in macro_segments(labels, lengths):
+        if event.following is not None:
+            changes[event.macro, event.following] += 1
+    return ((changes + 1) / (frames_of[:, None] + 1)).log()
+
+
+def charges_of(
+    scores: Float[Tensor, "frames switches"],
+    pairs: Sequence[tuple[int, int]],
+    log_odds: Float[Tensor, "macros macros"],
+    lengths: Int64[Tensor, " trajectories"],
+    weight: float = 1.0,
+) -> SwitchCosts:
+    """stay_n(q) and T_n(q', q), in nats times `weight`, from the scores of switch functions.
 
     A switch function is trained on two halves of equal weight, so half the log odds of a change are added to
-    its score. A change that was never seen has no function: its odds are those of one in as many frames.
+    its score, which is cut off at +-`MARGIN` before. A change without a function has its odds alone.
     """
-    n_frames, n_macros = len(judged.labels), task.macros
-    frames_of = judged.labels.bincount(minlength=n_macros)
-    changes: dict[tuple[int, int], int] = {}
-    for event in macro_segments(judged.labels, task.lengths):
-        if event.following is not None:
-            pair = event.macro, event.following
-            changes[pair] = changes.get(pair, 0) + 1
-    scores = torch.zeros(n_frames, n_macros, n_macros)
-    for source in range(n_macros):
-        for target in range(n_macros):
-            times = changes.get((source, target), 0)
-            odds = (times + 1) / (int(frames_of[source]) + 1)
-            scores[:, source, target] = torch.tensor(odds).log() / 2
-    for place, (source, target) in enumerate(judged.switches.pairs):
-        scores[:, source, target] += judged.switches.held_out[:, place].clamp(-MARGIN, MARGIN)
-    others = ~torch.eye(n_macros, dtype=torch.bool)
-    refusing = torch.nn.functional.softplus(2 * scores) * others
-    firing = torch.nn.functional.softplus(-2 * scores)
+    n_macros = len(log_odds)
+    total = (log_odds / 2).to(scores).repeat(len(scores), 1, 1)
+    for place, (source, target) in enumerate(pairs):
+        total[:, source, target] += scores[:, place].clamp(-MARGIN, MARGIN)
+    others = ~torch.eye(n_macros, dtype=torch.bool, device=scores.device)
+    refusing = torch.nn.functional.softplus(2 * total) * others
+    firing = torch.nn.functional.softplus(-2 * total)
     staying = refusing.sum(2).double()
-    starts = task.lengths.cumsum(0) - task.lengths
-    staying[starts] = 0
+    staying[(lengths.cumsum(0) - lengths).to(scores.device)] = 0
     changing = staying[:, :, None] - refusing + firing - staying[:, None, :]
     return SwitchCosts(weight * staying, weight * changing.double())

@@ -40,6 +40,8 @@ class PolicyConfig:
     switches: tuple[tuple[int, int], ...] = ()  # (from, to) of every switch function
     thresholds: tuple[float, ...] = ()  # a switch function fires above its own
     max_transitions: int | None = None  # S of the segmentation it was trained on; None for Q - 1
+    switch_weight: float = 0.0  # of the switch functions' costs in that segmentation
+    change_log_odds: tuple[tuple[float, ...], ...] = ()  # [from][to] in that segmentation; with a weight only
     world: dict[str, Any] = field(default_factory=dict)  # {"id": ..., **options} of the demonstrations
 
     def __post_init__(self) -> None:
@@ -53,6 +55,8 @@ class PolicyConfig:
             and all(isinstance(size, int) for size in self.image_shape),
             "features": self.features in FEATURES,
             "max_transitions": self.max_transitions is None or self.max_transitions >= 0,
+            "change_log_odds": not self.switch_weight
+            or [len(row) for row in self.change_log_odds] == [self.macros] * self.macros,
             "world": isinstance(self.world, dict),
         }
         for name, holds in sound.items():
@@ -252,6 +256,7 @@ def _read_config(path: Path) -> PolicyConfig:
                 "image_shape": tuple(values["image_shape"]),
                 "switches": tuple(tuple(pair) for pair in values["switches"]),
                 "thresholds": tuple(values["thresholds"]),
+                "change_log_odds": tuple(tuple(row) for row in values.get("change_log_odds", ())),
             }
         )
     except (ValueError, KeyError, TypeError) as error:

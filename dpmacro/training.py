@@ -24,6 +24,7 @@ from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
 from dpmacro.features import FeatureSet, frames_before, make_features
 from dpmacro.gallery import chosen_pixels, mean_images
+from dpmacro.joint import change_log_odds
 from dpmacro.learners import WeakLearner
 from dpmacro.learners.convnet import ConvNetLearner
 from dpmacro.learners.ensemble import InTurn
@@ -232,6 +233,11 @@ class Trainer:
             switches=tuple(switches.pairs),
             thresholds=tuple(switches.thresholds.tolist()),
             max_transitions=max_transitions,
+            switch_weight=discovery.switch_weight,
+            change_log_odds=tuple(
+                tuple(row)
+                for row in change_log_odds(discovery.labels, self.lengths, discovery.macros).tolist()
+            ),
             world=demonstrations.world,
         )
         return MacroPolicy.compact(config, features, quantiser, discovery.classifiers, switches.classifier)

@@ -15,10 +15,13 @@ from dpmacro.columns import Plan, prepare
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, Search
 from dpmacro.features import make_features, previous_images
+from dpmacro.joint import change_log_odds
 from dpmacro.learners import Frames
+from dpmacro.learners.stumps import StumpLearner
 from dpmacro.policy import MacroPolicy, PolicyConfig
 from dpmacro.segmentation import transition_counts
 from dpmacro.selection import Task, judge
+from dpmacro.switching import fit_switches
 
 SHAPE = (6, 8)
 LENGTHS = np.array([40, 25, 35])
@@ -52,13 +55,26 @@ def train(demonstrations, macros=2, bound=1, truth=None, **options):
         judged = judge(data, task, truth[None])
         search = Search(task, Alternated(truth[None], torch.zeros(1, 1)), tuple(judged), 0)
     found = DPBoost(macros, bound, **chosen).fit(data, actions, lengths, search=search)
-    config = PolicyConfig("dpboost", found.macros, 0, NAMES, SHAPE, "rectangles", max_transitions=bound)
-    return MacroPolicy.compact(config, features, quantiser, found.classifiers, None), found
+    switches = fit_switches(StumpLearner(data), found.labels, lengths, generator, rounds=20)
+    config = PolicyConfig(
+        "dpboost",
+        found.macros,
+        0,
+        NAMES,
+        SHAPE,
+        "rectangles",
+        tuple(switches.pairs),
+        tuple(switches.thresholds.tolist()),
+        max_transitions=bound,
+        switch_weight=found.switch_weight,
+        change_log_odds=tuple(map(tuple, change_log_odds(found.labels, lengths, found.macros).tolist())),
+    )
+    return MacroPolicy.compact(config, features, quantiser, found.classifiers, switches.classifier), found
 
 
 @pytest.fixture(scope="module")
 def trained():
-    """From the actions alone: `annotate` knows no switch costs."""
+    """From the actions alone."""
     demonstrations = noise_with_a_rule()
     policy, found = train(demonstrations, switch_weight=0.0)
     return policy, demonstrations, found
@@ -72,6 +88,30 @@ def test_the_labels_are_those_of_the_training(trained):
         float(found.loss[-1]), rel=1e-4
     )
     assert seen.cost_by_bound.shape == (3, 2)
+
+
+def test_the_labels_are_those_of_the_training_where_switch_costs_joined():
+    """Frames are lit from above for three frames from the change on; one action in five is wrong."""
+    rng = np.random.default_rng(0)
+    n, length = 10, 60
+    since = np.tile(np.arange(length), n) - rng.integers(20, 40, n).repeat(length)
+    rule, lit = (since >= 0).astype(np.int64), (since >= 0) & (since < 3)
+    bright = rng.integers(0, 2, (n * length, 2))
+    images = rng.integers(0, 64, (n * length, *SHAPE, 3), np.uint8)
+    images += 96 * bright.repeat(4, axis=1)[:, None, :, None].astype(np.uint8)
+    images[lit, :2] = 255
+    wrong = rng.random(n * length) < 0.2
+    actions = np.where(wrong, 1 - bright[:, 0], bright[np.arange(n * length), rule])
+    demonstrations = Demonstrations(
+        images, actions, np.full(n, length), NAMES, 10, None, {}, Path("data/some")
+    )
+    policy, found = train(demonstrations, truth=torch.from_numpy(rule), switch_weight=1.0, rounds=60)
+    if not (found.search.kept.verdict.runnable and np.array_equal(found.labels, rule)):
+        raise RuntimeError("the switch costs should have kept the truth")
+    assert found.switch_weight == 1.0
+    assert torch.equal(annotate(policy, demonstrations).labels, found.labels)
+    by_actions = replace(policy, config=replace(policy.config, switch_weight=0.0))
+    assert not torch.equal(annotate(by_actions, demonstrations).labels, found.labels)
 
 
 def test_an_annotation_survives_files_and_does_not_depend_on_the_portion(trained, tmp_path, monkeypatch):
