@@ -28,7 +28,7 @@ from tqdm import tqdm
 from dpmacro import cli
 from dpmacro.columns import Plan, prepare
 from dpmacro.crossfit import bounded_deviance
-from dpmacro.discovery import DPBoost, Search
+from dpmacro.discovery import DPBoost
 from dpmacro.features import make_features
 from dpmacro.figures import save
 from dpmacro.files import replacing
@@ -37,6 +37,7 @@ from dpmacro.marginals import costs_without
 from dpmacro.metrics import segmentation_scores
 from dpmacro.options import PlannerOptions
 from dpmacro.quantising import Quantiser
+from dpmacro.search import Search
 from dpmacro.segmentation import segment
 from dpmacro.selection import MARGIN, Judged
 from dpmacro.synthetic import digits

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpmacro.discovery import Search
+from dpmacro.search import Search
 
 __all__ = ["Choice", "Point", "choose", "points"]
 

@@ -24,65 +24,14 @@ from dpmacro.learners import Frames, StrongClassifier, WeakLearner
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
 from dpmacro.quantising import Quantiser
-from dpmacro.segmentation import segment, transition_counts
-from dpmacro.selection import (
-    Judged,
-    Task,
-    Verdict,
-    best_verdict,
-    confidence,
-    distinct,
-    judge,
-    left_out_charges,
-)
+from dpmacro.search import Search
+from dpmacro.selection import Judged, Task, best_verdict, confidence, distinct, judge
 from dpmacro.stopping import validated_rounds
 
-__all__ = ["DPBoost", "DPBoostResult", "Search"]
+__all__ = ["DPBoost", "DPBoostResult"]
 
 SWEEPS = 3  # in which switch functions cut
 REFINED = 4  # rivals anew
-
-
-@dataclass(frozen=True)
-class Search:
-    """Rival segmentations and what left-out data says of them."""
-
-    task: Task
-    candidates: Alternated  # from every initial segmentation
-    judged: tuple[Judged, ...]  # outcomes, then what the switch functions made of the best of them
-    best: int  # the one to keep, a place in `judged`
-
-    @property
-    def macros(self) -> int:
-        """Q, of which some may not be used."""
-        return self.task.macros
-
-    @property
-    def max_transitions(self) -> int:
-        """S, no more than the longest trajectory allows."""
-        return self.task.max_transitions
-
-    @property
-    def changes(self) -> float:
-        """Transitions per trajectory of the segmentation to keep."""
-        return float(transition_counts(self.kept.labels, self.task.lengths).float().mean())
-
-    @property
-    def cost_by_bound(self) -> Float[Tensor, " bounds"]:
-        """Nats a frame that left-out classifiers charge the best segmentation under each bound 0, 1, ..."""
-        charges = left_out_charges(self.kept, self.task)
-        bound = min(2 * self.max_transitions + 2, int(self.task.lengths.max()) - 1)
-        return segment(charges, self.task.lengths, bound).cost_by_bound.sum(0) / len(charges)
-
-    @property
-    def kept(self) -> Judged:
-        """The one to keep."""
-        return self.judged[self.best]
-
-    @property
-    def verdicts(self) -> tuple[Verdict, ...]:
-        """What left-out data says of each that was judged."""
-        return tuple(rival.verdict for rival in self.judged)
 
 
 @dataclass(frozen=True)

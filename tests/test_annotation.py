@@ -13,12 +13,13 @@ from dpmacro.alternation import Alternated
 from dpmacro.annotation import annotate
 from dpmacro.columns import Plan, prepare
 from dpmacro.demonstrations import Demonstrations
-from dpmacro.discovery import DPBoost, Search
+from dpmacro.discovery import DPBoost
 from dpmacro.features import make_features, previous_images
 from dpmacro.joint import change_log_odds
 from dpmacro.learners import Frames
 from dpmacro.learners.stumps import StumpLearner
 from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.search import Search
 from dpmacro.segmentation import transition_counts
 from dpmacro.selection import Task, judge
 from dpmacro.switching import fit_switches

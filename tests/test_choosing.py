@@ -5,7 +5,7 @@ import torch
 
 from dpmacro.alternation import Alternated
 from dpmacro.choosing import Choice, Point, _best, choose, points
-from dpmacro.discovery import Search
+from dpmacro.search import Search
 from dpmacro.selection import Judged, Task, Verdict
 from dpmacro.switching import SwitchFunctions
 

@@ -20,8 +20,8 @@ from selector_scores import CRITERIA, choices, fit_table, picture, rule_ranks, t
 
 from dpmacro import cli  # noqa: E402
 from dpmacro.alternation import Alternated  # noqa: E402
-from dpmacro.discovery import Search  # noqa: E402
 from dpmacro.figures import to_image  # noqa: E402
+from dpmacro.search import Search  # noqa: E402
 from dpmacro.selection import Judged, Task, Verdict, best_verdict  # noqa: E402
 from dpmacro.switching import SwitchFunctions  # noqa: E402
 
