@@ -4,14 +4,16 @@
     python eval.py --policy.type=teacher --world.flags=fixed --videos=3
     python eval.py --segmentation --policy.path=outputs/train/.../pretrained_model --dataset.root=datasets/...
 
-Prints successes, their rate with its 95% interval and how the failures split, and writes the same to
-`eval_info.json` in LeRobot's form, TensorBoard scalars beside it. With `--segmentation` no world runs: the
-policy cuts demonstrations into its macro-actions, and `segmentation.html`, `segmentation.json`, pictures in
-`figures/` and TensorBoard events show how.
+Prints successes, their rate with its 95% interval, how the failures split and why they failed, and writes the
+same to `eval_info.json` in LeRobot's form, TensorBoard scalars beside it. A run that begins to repeat itself
+ends there, as the failure that it is; its steps are those until then. With `--segmentation` no world runs:
+the policy cuts demonstrations into its macro-actions, and `segmentation.html`, `segmentation.json`, pictures
+in `figures/` and TensorBoard events show how.
 """
 
 import json
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
@@ -23,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from dpmacro import cli
+from dpmacro.causes import blue_step, failure_causes, first_change
 from dpmacro.files import replacing
 from dpmacro.outcomes import SuccessSummary, success_summary
 from dpmacro.rollouts import NO_MACRO, Episode, Moment, PlannerSource, iter_episodes, replay
@@ -59,6 +62,8 @@ class PolicyOptions:
     """Folder `pretrained_model` of a training run."""
     type: str | None = None
     """`teacher` for the teacher, instead of a path."""
+    recovery: bool = True
+    """Whether a policy that turns in circles replays a stretch of a demonstration."""
 
 
 @dataclass(frozen=True)
@@ -135,9 +140,10 @@ def count_successes(options: EvalOptions) -> None:
         [int(episode.phases[-1]) for episode in episodes],
         [int(episode.macros[-1]) for episode in episodes],
     )
-    print(report(summary, seconds))
+    causes = failure_causes(episodes)
+    print(report(summary, seconds, causes, sum(episode.loop > 0 for episode in episodes)))
     videos = write_videos(source, world, episodes, options.videos, output_dir / "videos" / f"{WORLD}_0")
-    info = eval_info(episodes, summary, seconds, videos)
+    info = eval_info(episodes, summary, causes, seconds, videos)
     info["dpmacro"].update(planner=name, policy_path=source.path and str(source.path), world=world)
     write_scalars(info["overall"], output_dir / "tensorboard")
     with replacing(output_dir / "eval_info.json") as path:
@@ -162,7 +168,7 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
     unknown = sorted(set(stored) - {option.name for option in fields(TwoFlagsConfig)})
     if unknown:
         raise ValueError(f"{options.path} was trained in a {WORLD} with {unknown[0]!r}, which this one lacks")
-    return PlannerSource("policy", options.path), config.type, stored
+    return PlannerSource("policy", options.path, options.recovery), config.type, stored
 
 
 def show_segmentation(options: EvalOptions) -> None:
@@ -216,8 +222,8 @@ def run(source: PlannerSource, world: dict[str, Any], seeds: Sequence[int], work
     return episodes
 
 
-def report(summary: SuccessSummary, seconds: float) -> str:
-    """The result for people."""
+def report(summary: SuccessSummary, seconds: float, causes: Sequence[str], loops: int) -> str:
+    """The result for people; `loops` is the number of runs that repeat themselves."""
     low, high = summary.interval
     lines = [
         f"successes   {summary.successes} of {summary.runs} runs",
@@ -228,6 +234,11 @@ def report(summary: SuccessSummary, seconds: float) -> str:
     for (outcome, phase, macro), count in summary.endings.items():
         doing = "" if macro == NO_MACRO else f", macro-action {macro}"
         lines.append(f"{count:>7}     {outcome.replace('_', ' '):<20} in phase {phase}{doing}")
+    if summary.endings:
+        lines.append("causes")
+    for cause, count in Counter(filter(None, causes)).most_common():
+        lines.append(f"{count:>7}     {cause.replace('_', ' ')}")
+    lines.append(f"loops       {loops} of the failures repeat themselves for ever")
     return "\n".join(lines)
 
 
@@ -257,9 +268,16 @@ def counted(moments: Iterable[Moment], bar: tqdm) -> Iterator[Moment]:
 
 
 def eval_info(
-    episodes: Sequence[Episode], summary: SuccessSummary, seconds: float, videos: Sequence[str]
+    episodes: Sequence[Episode],
+    summary: SuccessSummary,
+    causes: Sequence[str],
+    seconds: float,
+    videos: Sequence[str],
 ) -> dict[str, Any]:
-    """Results in the form of LeRobot's eval_info.json, with a section of our own."""
+    """Results in the form of LeRobot's eval_info.json, with a section of our own.
+
+    There, `causes` are "" for a success; `blue_steps` and `first_changes`, of the macro-action, may be null.
+    """
     sums = [episode.reward for episode in episodes]
     largest = [float(episode.rewards.max()) for episode in episodes]
     group = {
@@ -283,6 +301,11 @@ def eval_info(
             "seeds": [episode.seed for episode in episodes],
             "outcomes": [episode.outcome for episode in episodes],
             "steps": [episode.steps for episode in episodes],
+            "loops": [episode.loop for episode in episodes],
+            "causes": list(causes),
+            "blue_steps": [blue_step(episode) for episode in episodes],
+            "first_changes": [first_change(episode) for episode in episodes],
+            "last_macros": [int(episode.macros[-1]) for episode in episodes],
             "interval_95": list(summary.interval),
             "failures": [
                 {"outcome": outcome, "phase": phase, "macro": macro, "runs": runs}

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Hashable
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +21,7 @@ from dpmacro.files import replacing
 from dpmacro.learners import Frames, StrongClassifier
 from dpmacro.learners.ensemble import classifier_from, classifier_tensors
 from dpmacro.quantising import Quantiser
+from dpmacro.recovery import Recovery, Stretches
 
 __all__ = ["MacroPlanner", "MacroPolicy", "PolicyConfig", "PolicyState"]
 
@@ -86,6 +88,7 @@ class MacroPolicy:
     quantiser: Quantiser
     actor: StrongClassifier  # problems are macro-actions, classes are actions
     switcher: StrongClassifier | None  # problems are config.switches, one class
+    stretches: Stretches | None = None  # what demonstrators did, for a planner in trouble
 
     @classmethod
     def compact(
@@ -95,6 +98,7 @@ class MacroPolicy:
         quantiser: Quantiser,
         actor: StrongClassifier,
         switcher: StrongClassifier | None,
+        stretches: Stretches | None = None,
     ) -> "MacroPolicy":
         """The policy over all columns of the training data, reduced to the columns that it uses."""
         parts = [actor] if switcher is None else [actor, switcher]
@@ -105,6 +109,7 @@ class MacroPolicy:
             quantiser.select(used),
             actor.renumbered(used),
             None if switcher is None else switcher.renumbered(used),
+            stretches,
         )
 
     @property
@@ -161,9 +166,9 @@ class MacroPolicy:
         sources, targets = torch.tensor(self.config.switches, device=self.device).unbind(1)
         return sources, targets, torch.tensor(self.config.thresholds, device=self.device)
 
-    def planner(self) -> "MacroPlanner":
-        """A planner for one running environment."""
-        return MacroPlanner(self)
+    def planner(self, recovery: bool = True) -> "MacroPlanner":
+        """A planner for one running environment; `recovery` is for those in trouble (dpmacro/recovery.py)."""
+        return MacroPlanner(self, recovery)
 
     def to(self, device: str | torch.device) -> "MacroPolicy":
         """The policy with its tensors on `device`."""
@@ -205,15 +210,22 @@ class MacroPolicy:
         groups = {"features": self.features.tensors(), "actor": classifier_tensors(self.actor)}
         if self.switcher is not None:
             groups["switcher"] = classifier_tensors(self.switcher)
+        if self.stretches is not None:
+            groups["stretches"] = self.stretches.tensors()
         named = {f"{group}.{name}": value for group, part in groups.items() for name, value in part.items()}
         return {**named, "quantiser.cuts": self.quantiser.cuts}
 
 
 class MacroPlanner:
-    """A policy in one running environment; it sees the observation's `pixels` and nothing else."""
+    """A policy in one running environment; it sees the observation's `pixels` and nothing else.
 
-    def __init__(self, policy: MacroPolicy) -> None:
+    With `recovery`, and a policy that knows what demonstrators did, it gets itself out of circles.
+    """
+
+    def __init__(self, policy: MacroPolicy, recovery: bool = True) -> None:
         self.policy = policy
+        known = policy.stretches if recovery else None
+        self._recovery = None if known is None else Recovery(known, policy.config.macros)
         self._state = policy.initial_state(1)
 
     @property
@@ -221,15 +233,26 @@ class MacroPlanner:
         """The current macro-action."""
         return int(self._state.macro[0])
 
+    @property
+    def memory(self) -> Hashable:
+        """All of its state but the frame before (see `rollouts.Planner`); None with recovery, which draws."""
+        return None if self._recovery is not None else (self.macro, self._state.previous is None)
+
     def reset(self, env: gym.Env) -> None:
         """Begin an episode."""
         self._state = self.policy.initial_state(1)
+        if self._recovery is not None:
+            self._recovery.reset()
 
     def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
         """The action for the frame that the environment shows now."""
-        images = torch.from_numpy(observation["pixels"])[None].to(self.policy.device)
-        actions, self._state = self.policy.act(images, self._state)
-        return int(actions[0])
+        images, before = torch.from_numpy(observation["pixels"])[None], self._state.previous
+        actions, self._state = self.policy.act(images.to(self.policy.device), self._state)
+        action = int(actions[0])
+        if self._recovery is None:
+            return action
+        seen = images if before is None else torch.cat([images, before.cpu()])
+        return self._recovery.act(seen.numpy().tobytes(), self.macro, action)
 
 
 def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:
@@ -243,6 +266,7 @@ def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:
         Quantiser(**groups["quantiser"]),
         classifier_from(groups["actor"]),
         classifier_from(groups["switcher"]) if config.switches else None,
+        Stretches.from_tensors(groups["stretches"]) if "stretches" in groups else None,
     )
 
 

@@ -1,11 +1,16 @@
-"""Runs of a planner in a world, one seed an episode, in parallel processes."""
+"""Runs of a planner in a world, one seed an episode, in parallel processes.
+
+A run that provably goes nowhere ends at once. Where the world's info tells its `state`, and the planner its
+`memory`, a run that comes to a state, the state before it and a memory for the second time repeats for ever:
+it ends there, with the outcome that it would have had at the world's last step.
+"""
 
 import multiprocessing
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -16,7 +21,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
-from jaxtyping import Float32, Int8, UInt8
+from jaxtyping import Float, Float32, Int8, UInt8
 
 import dpmacro.worlds  # noqa: F401  registers the environments
 
@@ -27,7 +32,12 @@ NO_MACRO = -1
 
 @runtime_checkable
 class Planner(Protocol):
-    """What chooses actions in one running environment; `macro`, where it has one, is its macro-action."""
+    """What chooses actions in one running environment; `macro`, where it has one, is its macro-action.
+
+    A planner may have `memory`, a hashable: all that its next action and its next memory depend on beside the
+    present and the previous state of the world, whose frames it sees. A planner that has none, or None, such
+    as one that draws lots, is never cut short.
+    """
 
     def reset(self, env: gym.Env) -> None:
         """Begin an episode of `env`, which was just reset."""
@@ -43,10 +53,12 @@ class PlannerSource:
     Attributes:
         kind: "teacher", or "policy" for a saved `MacroPolicy`.
         path: folder of the saved policy; None for the teacher.
+        recovery: whether a policy that is in trouble may replay demonstrations (dpmacro/recovery.py).
     """
 
     kind: str
     path: Path | None = None
+    recovery: bool = True
 
     def __post_init__(self) -> None:
         if self.kind not in ("teacher", "policy"):
@@ -62,7 +74,7 @@ class PlannerSource:
             return Teacher()
         from dpmacro.policy import MacroPolicy
 
-        return MacroPolicy.load(self.path).planner()
+        return MacroPolicy.load(self.path).planner(self.recovery)
 
 
 @dataclass(frozen=True)
@@ -75,6 +87,8 @@ class Moment:
         reward: what the action earned.
         outcome: one of `OUTCOMES` on the last step, "" before.
         view: the picture for people of the frame the planner saw; None unless rendered.
+        position: where the frame was seen from, metres; None where the world does not tell.
+        loop: how many steps a loop has that this, the last step, closes; 0 otherwise.
     """
 
     phase: int
@@ -83,11 +97,20 @@ class Moment:
     reward: float
     outcome: str
     view: UInt8[np.ndarray, "height width 3"] | None
+    position: Float[np.ndarray, "2"] | None = None
+    loop: int = 0
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One run of a planner, `steps` long; step t holds what the planner saw and chose at frame t."""
+    """One run of a planner, `steps` long; step t holds what the planner saw and chose at frame t.
+
+    Attributes:
+        outcome: one of `OUTCOMES`.
+        loop: so many of the last steps lead back to where they began, and would for ever; 0 where the run
+            was never in the same situation twice.
+        positions: where every frame was seen from, metres; None where the world does not tell.
+    """
 
     seed: int
     outcome: str
@@ -95,6 +118,8 @@ class Episode:
     phases: Int8[np.ndarray, " steps"]
     macros: Int8[np.ndarray, " steps"]
     rewards: Float32[np.ndarray, " steps"]
+    loop: int = 0
+    positions: Float32[np.ndarray, "steps 2"] | None = None
 
     @property
     def success(self) -> bool:
@@ -103,7 +128,7 @@ class Episode:
 
     @property
     def steps(self) -> int:
-        """Number of actions taken."""
+        """Number of actions taken, up to where a loop was closed."""
         return len(self.actions)
 
     @property
@@ -148,7 +173,7 @@ def replay(
 
     Every `every`-th moment is rendered, from the first on; the others have no view.
     """
-    with _one_thread(), closing(_Stage(source, world, render_mode="rgb_array")) as stage:
+    with one_thread(), closing(_Stage(source, world, render_mode="rgb_array")) as stage:
         yield from stage.moments(seed, every)
 
 
@@ -166,21 +191,24 @@ class _Stage:
     def moments(self, seed: int, every: int = 1) -> Generator[Moment]:
         observation, info = self.env.reset(seed=seed)
         self.planner.reset(self.env)
-        step, ended = 0, False
+        step, ended, past = 0, False, Past()
+        past.visit(info, self.planner)
         while not ended:
             rendered = self.env.render_mode is not None and step % every == 0
             view = np.asarray(self.env.render()) if rendered else None
-            phase = int(info["phase"])
+            phase, position = int(info["phase"]), info.get("position")
             action = int(self.planner.act(observation, info))
             macro = int(getattr(self.planner, "macro", NO_MACRO))
             observation, reward, terminated, truncated, info = self.env.step(action)
-            ended = bool(terminated or truncated)
+            loop = 0 if terminated else past.visit(info, self.planner)
+            ended = bool(terminated or truncated or loop)
             step += 1
-            yield Moment(phase, action, macro, float(reward), _outcome(info) if ended else "", view)
+            outcome = _outcome(info) if ended else ""
+            yield Moment(phase, action, macro, float(reward), outcome, view, position, loop)
 
     def episode(self, seed: int, stop: Event | None = None) -> Episode:
         moments = []
-        with _one_thread():
+        with one_thread():
             for moment in self.moments(seed):
                 moments.append(moment)
                 if stop is not None and stop.is_set():
@@ -192,7 +220,29 @@ class _Stage:
             phases=np.array([moment.phase for moment in moments], np.int8),
             macros=np.array([moment.macro for moment in moments], np.int8),
             rewards=np.array([moment.reward for moment in moments], np.float32),
+            loop=moments[-1].loop,
+            positions=None
+            if moments[0].position is None
+            else np.array([moment.position for moment in moments], np.float32),
         )
+
+
+class Past:
+    """The situations that a run has been in."""
+
+    def __init__(self) -> None:
+        self._times: dict[Hashable, int] = {}
+        self._previous: Hashable = None
+
+    def visit(self, info: Mapping[str, Any], planner: Planner) -> int:
+        """Steps since the run was in the very same situation; 0 where it never was, or none can tell."""
+        memory = getattr(planner, "memory", None)
+        if memory is None or "state" not in info:
+            return 0
+        situation = self._previous, info["state"], memory
+        self._previous = info["state"]
+        now = len(self._times)
+        return now - self._times.setdefault(situation, now)
 
 
 def _outcome(info: Mapping[str, Any]) -> str:
@@ -202,7 +252,7 @@ def _outcome(info: Mapping[str, Any]) -> str:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     # A frame at a time gains nothing from threads, and sums must not depend on how many there are.
     # The teacher needs no torch, whose import takes longer than an episode.
     torch = sys.modules.get("torch")

@@ -74,6 +74,7 @@ def test_the_teacher_as_a_command(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "successes   0 of 3 runs" in done.stdout
     low, high = wilson_interval(0, 3)
+    assert "      3     out of time\nloops       0 of" in done.stdout
     assert f"0.0%, 95% Wilson interval {low:.1%} to {high:.1%}" in done.stdout
     assert "3/3" in done.stderr and "success 0%" in done.stderr
 
@@ -86,6 +87,8 @@ def test_the_teacher_as_a_command(tmp_path):
     assert info["per_group"]["TwoFlags-v0"]["video_paths"] == overall["video_paths"]
     ours = info["dpmacro"]
     assert ours["seeds"] == [7, 8, 9] and ours["steps"] == [60, 60, 60]
+    assert ours["loops"] == [0, 0, 0] and ours["causes"] == ["out_of_time"] * 3
+    assert ours["blue_steps"] == ours["first_changes"] == [None] * 3 and ours["last_macros"] == [-1] * 3
     assert set(ours["outcomes"]) <= set(OUTCOMES) and ours["interval_95"] == [low, high]
     assert ours["world"]["max_steps"] == 60 and ours["world"]["yaw_noise"] == 0.5
     assert (ours["planner"], ours["policy_path"]) == ("teacher", None)
@@ -113,6 +116,32 @@ def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tm
     call(script, monkeypatch, *options[:-1], f"--output_dir={tmp_path / 'again'}")
     again = json.loads((tmp_path / "again" / "eval_info.json").read_text())["dpmacro"]
     assert again == ours
+
+
+def test_a_run_that_repeats_itself_ends_at_once(script, tmp_path, monkeypatch, capsys):
+    """Red hides blue in this world, and the video, too, ends with the run."""
+    options = [
+        "--policy.type=teacher",
+        "--episodes=1",
+        "--seed=53",
+        "--videos=1",
+        "--world.render_size=[64,48]",
+    ]
+    call(script, monkeypatch, *options, f"--output_dir={tmp_path}")
+    ours = json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]
+    assert (ours["steps"], ours["loops"], ours["causes"]) == ([601], [600], ["spins"])
+    printed = capsys.readouterr().out
+    assert "causes\n      1     spins\nloops       1 of" in printed
+    with av.open(str(tmp_path / "videos" / "TwoFlags-v0_0" / "eval_episode_0.mp4")) as video:
+        assert sum(1 for _ in video.decode(video=0)) == 601 // 4 + 1 + 45
+
+
+def test_a_success_has_no_cause(script, tmp_path, monkeypatch, capsys):
+    options = ["--policy.type=teacher", "--episodes=1", "--seed=17", "--world.render_size=[64,48]"]
+    call(script, monkeypatch, *options, f"--output_dir={tmp_path}")
+    ours = json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]
+    assert ours["causes"] == [""] and 0 < ours["blue_steps"][0] < ours["steps"][0] - 1
+    assert "causes" not in capsys.readouterr().out
 
 
 def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):

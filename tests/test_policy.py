@@ -1,6 +1,7 @@
 """A policy acts alike in any batch, switches only along observed changes, and survives its files."""
 
 import json
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -120,6 +121,21 @@ def test_a_reset_planner_starts_afresh():
     first = [planner.act({"pixels": image}, {}) for image in images.numpy()]
     planner.reset(gym.Env())
     assert [planner.act({"pixels": image}, {}) for image in images.numpy()] == first
+
+
+def test_memory_and_two_frames_decide_what_follows():
+    """What `rollouts.Planner` asks of a memory: where a run meets all three again, it goes on alike."""
+    policy, images = random_policy(switches=((0, 1), (1, 2), (2, 0)))
+    policy = replace(policy, config=replace(policy.config, thresholds=(-3.0,) * 3))
+    shown = torch.randint(4, (300,), generator=torch.Generator().manual_seed(0)).tolist()
+    planner, followed, met = policy.planner(), {}, 0
+    planner.reset(gym.Env())
+    for before, now in zip([None, *shown], shown, strict=False):
+        situation = before, now, planner.memory
+        action = planner.act({"pixels": images[now].numpy()}, {})
+        met += situation in followed
+        assert followed.setdefault(situation, (action, planner.memory)) == (action, planner.memory)
+    assert met > 200 and len({memory for _, _, memory in followed}) == 4  # three macros, and no frame yet
 
 
 def test_an_image_of_another_size_is_refused():

@@ -1,6 +1,7 @@
 """TwoFlags-v0: reach the blue flag, then the red one, seeing only what the avatar sees."""
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -15,6 +16,7 @@ ACTIONS = ("forward", "turn_left", "turn_right")
 FORWARD, TURN_LEFT, TURN_RIGHT = range(3)
 STEP = 0.03
 TURN = math.pi / 300
+WHOLE_TURN = 600  # turns
 PIXELS = (64, 48)
 VIEW = (320, 240)
 SIDES = (5.0, 20.0)
@@ -76,7 +78,11 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
 
     `info`, for tests and the teacher but no planner, holds `phase` (0, or 1 once blue was reached),
     `is_success` (bool), `failure` ("red_first" or ""), `position` (x, y in metres from the room's
-    centre, float64 [2]) and `heading` (radians from the x axis, counter-clockwise, in [-pi, pi)).
+    centre, float64 [2]) and `heading` (radians from the x axis, counter-clockwise, in [-pi, pi)), and
+    `state`, hashable: where it is the same at two moments of an episode, the same actions lead to the same
+    from there on, until truncation. It holds the forward steps taken (without yaw noise, the position), the
+    turns modulo a whole one, and the phase. Turns add up in floating point: after a whole one the heading is
+    off by 1e-13 radians or so, which `state` takes for the same.
 
     Attributes: `config`, `scene`, and the `layout` of the current episode.
 
@@ -127,7 +133,7 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         if not self.scene.free():
             raise ValueError(f"TwoFlags: start {(x, y)} lies in a wall or flag of {layout}: give a free one")
         self._phase, self._failure, self._success = 0, "", False
-        self._steps = 0
+        self._steps = self._walked = self._turned = 0
         self._running = True
         return self._observation(), self._info()
 
@@ -145,9 +151,12 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         reward = 0.0
         if action == FORWARD:
             reward = self._reach(self.scene.forward(STEP))
+            self._walked += 1
             self.scene.turn(math.radians(self.np_random.normal(0.0, self.config.yaw_noise)))
         else:
-            self.scene.turn(TURN if action == TURN_LEFT else -TURN)
+            turn = 1 if action == TURN_LEFT else -1
+            self._turned = (self._turned + turn) % WHOLE_TURN
+            self.scene.turn(turn * TURN)
         self._steps += 1
         terminated = self._success or bool(self._failure)
         truncated = not terminated and self._steps >= self.config.max_steps
@@ -190,7 +199,13 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
             "failure": self._failure,
             "position": self.scene.position.copy(),
             "heading": self.scene.heading,
+            "state": self._state(),
         }
+
+    def _state(self) -> Hashable:
+        # A forward step draws noise, so none is like another; without noise a blocked one changes nothing.
+        place = self._walked if self.config.yaw_noise else tuple(self.scene.position.tolist())
+        return place, self._turned, self._phase
 
 
 def draw_layout(rng: np.random.Generator) -> Layout:

@@ -62,7 +62,7 @@ def test_observation_info_and_render(env):
     observation, info = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     assert observation["pixels"].shape == (48, 64, 3)
-    assert set(info) == {"phase", "is_success", "failure", "position", "heading"}
+    assert set(info) == {"phase", "is_success", "failure", "position", "heading", "state"}
     assert info["position"].dtype == np.float64 and -math.pi <= info["heading"] < math.pi
     assert env.unwrapped.render().shape == (240, 320, 3)
 
@@ -89,6 +89,48 @@ def test_actions(action, distance, turn):
     assert after["heading"] - before["heading"] == pytest.approx(turn)
     assert (reward, terminated, truncated) == (0.0, False, False)
     env.close()
+
+
+@pytest.mark.parametrize("noise", [0.5, 0.0])
+def test_equal_states_are_the_same_moment(noise):
+    env = gym.make("TwoFlags-v0", yaw_noise=noise, render_size=(64, 48))
+    rng = np.random.default_rng(0)
+    seen, met = {}, 0
+    observation, info = env.reset(seed=0, options={"layout": LAYOUT, "start": (0.0, 4.5, math.pi / 2)})
+    for t in range(400):
+        heading, pixels, position = info["heading"], observation["pixels"], info["position"]
+        if info["state"] in seen:
+            met += 1
+            first_heading, first_pixels, first_position = seen[info["state"]]
+            assert heading == pytest.approx(first_heading, abs=1e-9)
+            assert np.array_equal(pixels, first_pixels) and np.array_equal(position, first_position)
+        seen.setdefault(info["state"], (heading, pixels, position))
+        observation, _, _, _, info = env.step(rng.choice(3, p=[0.1, 0.45, 0.45]) if t > 10 else FORWARD)
+    assert 100 < met < 390
+    env.close()
+
+
+@pytest.mark.parametrize("turn", [TURN_LEFT, TURN_RIGHT])
+def test_a_whole_turn_leads_back_to_the_state_and_less_does_not(env, turn):
+    _, start = env.reset(seed=0)
+    states = [env.step(turn)[-1]["state"] for _ in range(600)]
+    assert states.index(start["state"]) == 599 and len(set(states)) == 600
+
+
+def test_a_state_changes_with_what_the_avatar_does():
+    quiet, noisy = (gym.make("TwoFlags-v0", yaw_noise=noise, render_size=(64, 48)) for noise in (0.0, 0.5))
+    for env in (quiet, noisy):
+        _, before = env.reset(seed=0, options={"layout": LAYOUT, "start": (1.25, 0.0, 0.0)})
+        _, _, _, _, walked = env.step(FORWARD)
+        _, reward, _, _, reached = env.step(FORWARD)
+        assert reward == 1 and np.array_equal(walked["position"][1:], [0.0])
+        assert len({before["state"], walked["state"], reached["state"]}) == 3
+        _, again = env.reset(seed=0, options={"layout": LAYOUT, "start": (1.25, 0.0, 0.0)})
+        assert again["state"] == before["state"]
+        env.reset(seed=0, options={"layout": LAYOUT, "start": (0.0, 4.5, math.pi / 2)})
+        against_the_wall = [env.step(FORWARD)[-1]["state"] for _ in range(8)]
+        assert len(set(against_the_wall)) == (3 if env is quiet else 8)
+        env.close()
 
 
 @pytest.mark.parametrize("action", [-1, 3, np.int64(7)])
