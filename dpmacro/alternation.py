@@ -1,6 +1,6 @@
 """DPBoost's alternation: a boosting round, then a segmentation, from many initial ones side by side."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -10,7 +10,7 @@ from torch import Tensor
 from dpmacro.boosting import Boosting, Round
 from dpmacro.segmentation import cost_of, segment
 
-__all__ = ["Alternated", "SwitchCosts", "alternate"]
+__all__ = ["Alternated", "SwitchCosts", "alternate", "pooled"]
 
 ROUNDING = 1e-4  # relative; scores are float32
 
@@ -87,3 +87,10 @@ def alternate(
         if bool(boosting.ended.all()):
             break
     return Alternated(labels.cpu(), torch.stack(loss).cpu())
+
+
+def pooled(parts: Sequence[Alternated]) -> Alternated:
+    """Several alternations as one; the objective of those that ended early stays as it ended."""
+    rounds = max(len(part.loss) for part in parts)
+    losses = [torch.cat([part.loss, part.loss[-1:].expand(rounds - len(part.loss), -1)]) for part in parts]
+    return Alternated(torch.cat([part.labels for part in parts]), torch.cat(losses, 1))

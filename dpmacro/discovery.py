@@ -4,34 +4,33 @@
 
 in every trajectory (Lefakis and Fleuret, Section III). The objective has many local optima, so the
 alternation starts from many seeded initial segmentations side by side, on a few dozen random
-columns a round. Left-out trajectories judge the distinct outcomes and what switch functions make of the
-best of them (dpmacro/joint.py); the chosen one is refitted with the exact learner.
+columns a round; those of fewer macro-actions are among them, since Q is what a planner may have, not what it
+must. Left-out trajectories judge the distinct outcomes and what becomes of the best of them
+(dpmacro/refining.py); the chosen one is refitted with the exact learner.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
-from dpmacro.alternation import Alternated, SwitchCosts, alternate
+from dpmacro.alternation import Alternated, SwitchCosts, alternate, pooled
 from dpmacro.boosting import Boosting, Round, class_targets
 from dpmacro.initial import action_events, initial_segmentations
-from dpmacro.joint import resegmented, switch_costs
+from dpmacro.joint import switch_costs
 from dpmacro.learners import Frames, StrongClassifier, WeakLearner
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
 from dpmacro.quantising import Quantiser
+from dpmacro.refining import recut, simplified
 from dpmacro.search import Search
 from dpmacro.selection import Judged, Task, best_verdict, confidence, distinct, judge
 from dpmacro.stopping import validated_rounds
 
 __all__ = ["DPBoost", "DPBoostResult"]
-
-SWEEPS = 3  # in which switch functions cut
-REFINED = 4  # rivals anew
 
 
 @dataclass(frozen=True)
@@ -162,11 +161,12 @@ class DPBoost:
         if self.early_stopping:
             held = labels, task.actions, task.lengths, rounds, self.fit_shrinkage
             rounds = validated_rounds(learner, *held, generator, task.groups, on_round)
-        boosting = self._boosting(learner, task, 1, self.fit_shrinkage, generator)
         costs = None if search is None else self._switch_costs(search.kept, task)
+        task = replace(task, macros=int(labels.max()) + 1)
+        boosting = self._boosting(learner, task, 1, self.fit_shrinkage, generator)
         fitted = self._alternate(boosting, task, labels[None], "fit", rounds, on_round, costs)
         found = fitted.labels[0]
-        sure = torch.ones(len(found)) if search is None else confidence(search.kept, task, found)
+        sure = torch.ones(len(found)) if search is None else confidence(search.kept, search.task, found)
         used, pruned = found.unique(return_inverse=True)
         strong = boosting.strong().select(used.to(self.device))
         weight = 0.0 if costs is None else self.switch_weight
@@ -182,6 +182,25 @@ class DPBoost:
     ) -> Search:
         """Find and judge segmentations without the final fit; arguments and errors as for `fit`."""
         return self._search(data, self._task(data, actions, lengths, groups), on_round)
+
+    def adopt(
+        self,
+        data: SortedLevels,
+        actions: Int64[Tensor, " frames"],
+        lengths: Int64[Tensor, " trajectories"],
+        labels: Int64[Tensor, " frames"],
+        on_round: Callable[[Round], None] = lambda _: None,
+        groups: Int64[Tensor, " trajectories"] | None = None,
+    ) -> Search:
+        """Judge a segmentation that is known already, in place of a search; errors as for `fit`.
+
+        `labels` are 0..Q-1; the other arguments are those of `fit`.
+        """
+        task = self._task(data, actions, lengths, groups)
+        [judged] = judge(data, task, labels[None], on_round)
+        return Search(
+            task, Alternated(labels[None], torch.tensor([[judged.verdict.hindsight_loss]])), (judged,), 0
+        )
 
     def _task(
         self,
@@ -220,7 +239,11 @@ class DPBoost:
         return SortedLevels.build(quantiser.levels(values)), quantiser
 
     def _search(self, data: SortedLevels, task: Task, on_round: Callable[[Round], None]) -> Search:
-        candidates = self._discover(data, task, on_round)
+        fewer = [
+            replace(task, macros=macros, max_transitions=min(macros - 1, task.max_transitions))
+            for macros in range(2, task.macros)
+        ]
+        candidates = pooled([self._discover(data, smaller, on_round) for smaller in [*fewer, task]])
         judged = self._judge(data, task, candidates, on_round)
         best = best_verdict([rival.verdict for rival in judged])
         return Search(task, candidates, tuple(judged), best)
@@ -245,7 +268,8 @@ class DPBoost:
         self, data: SortedLevels, task: Task, candidates: Alternated, on_round: Callable[[Round], None]
     ) -> list[Judged]:
         """Verdicts on what the alternation found, on cuts by rare actions as they are (the alternation, which
-        knows no switch functions, drifts away from them), and on what switch functions make of the best.
+        knows no switch functions, drifts away from them), on what switch functions make of the best, and on
+        the best of all with fewer macro-actions.
         """
         order = candidates.loss[-1].argsort()
         generator = torch.Generator().manual_seed(self.seed)
@@ -253,24 +277,16 @@ class DPBoost:
         events = action_events(task.actions, task.lengths, self.restarts // 4, *bounds, generator)
         rivals = torch.cat([candidates.labels[order], events])
         judged = judge(data, task, rivals[distinct(rivals)], on_round)
-        fresh = list(judged)
-        for _ in range(SWEEPS if self.switch_weight > 0 and task.n_groups > 1 else 0):
-            fresh.sort(key=lambda rival: (not rival.verdict.runnable, rival.verdict.causal_loss))
-            chosen, fresh = fresh[:REFINED], fresh[REFINED:]
-            known = torch.stack([rival.labels for rival in judged])
-            again = torch.stack([resegmented(rival, task, self.switch_weight) for rival in chosen])
-            again = again[[bool((labels != known).any(1).all()) for labels in again]]
-            if len(again) == 0:
-                break
-            found = judge(data, task, again, on_round)
-            judged, fresh = judged + found, fresh + found
-        return judged
+        if self.switch_weight > 0 and task.n_groups > 1:
+            judged = recut(judged, data, task, self.switch_weight, on_round)
+        return simplified(judged, data, task, on_round)
 
     def _switch_costs(self, kept: Judged, task: Task) -> SwitchCosts | None:
         """What recognising the changes costs; None where they cannot be recognised anyway."""
         if self.switch_weight == 0 or not kept.verdict.runnable:
             return None
-        return switch_costs(kept, task, self.switch_weight)
+        costs, used = switch_costs(kept, task, self.switch_weight), int(kept.labels.max()) + 1
+        return SwitchCosts(costs.staying[:, :used], costs.changing[:, :used, :used])
 
     def _boosting(
         self, learner: WeakLearner, task: Task, restarts: int, shrinkage: float, generator: torch.Generator

@@ -39,6 +39,7 @@ FINALISTS = 8  # rivals whose changes are recognised best go on to the dearer te
 LEADERS = 4  # and so many whose training loss is least
 SWITCH_ROUNDS = 30
 SWITCH_COLUMNS = 512
+SCREENING_COLUMNS = 128
 MARGIN = 1.0  # of the bounded deviance
 RECOGNISED = 0.5  # share of the changes
 REACH = 5  # frames on either side of one that do not vote on its label
@@ -100,22 +101,13 @@ def judge(
 ) -> list[Judged]:
     """Verdicts on the finalists among rival segmentations, given in the order of their training loss.
 
-    All rivals get the same folds and random columns, drawn by the task's seed. `on_round` is called after
-    every rival's switch functions, then after every boosting round of the finalists' classifiers, which grow
-    side by side.
+    Finalists are the rivals whose changes are recognised best, by quick switch functions, and those of least
+    training loss. All get the same folds and random columns, drawn by the task's seed. `on_round` is called
+    after every rival's quick switch functions, then after every boosting round of the finalists'
+    classifiers, which grow side by side.
     """
-    learner = StumpLearner(data, drawn=SWITCH_COLUMNS)
-    switches: list[SwitchFunctions] = []
-    for number, labels in enumerate(rivals, 1):
-        generator = torch.Generator().manual_seed(task.seed)
-        found = fit_switches(
-            learner, labels, task.lengths, generator, rounds=SWITCH_ROUNDS, groups=task.groups
-        )
-        switches.append(found)
-        share = _detected(found)
-        on_round(Round("recognise", number, len(rivals), 1 - share, share, None))
-    recognised = sorted(range(len(rivals)), key=lambda k: -_detected(switches[k]))
-    order = list(dict.fromkeys([*recognised[:FINALISTS], *range(min(LEADERS, len(rivals)))]))
+    order = _finalists(data, task, rivals, on_round)
+    switches = [_switches(data, task, rivals[k], SWITCH_COLUMNS) for k in order]
     scores = left_out_scores(
         data,
         task.actions,
@@ -127,10 +119,9 @@ def judge(
         task.groups,
         on_round,
     )
-    verdicts = [_verdict(task, rivals[k], switches[k], scores, place) for place, k in enumerate(order)]
     return [
-        Judged(rivals[k], verdict, own, switches[k])
-        for k, verdict, own in zip(order, verdicts, scores.macros, strict=True)
+        Judged(rivals[k], _verdict(task, rivals[k], found, scores, place), own, found)
+        for place, (k, found, own) in enumerate(zip(order, switches, scores.macros, strict=True))
     ]
 
 
@@ -174,6 +165,29 @@ def distinct(rivals: Int64[Tensor, "rivals frames"], similar: float = 0.99) -> I
         if all(float((labels == rivals[other]).float().mean()) < similar for other in kept):
             kept.append(k)
     return torch.tensor(kept)
+
+
+def _finalists(
+    data: SortedLevels, task: Task, rivals: Int64[Tensor, "rivals frames"], on_round: Callable[[Round], None]
+) -> list[int]:
+    """The numbers of the rivals that go on to the dearer test; all where they are few."""
+    if len(rivals) <= FINALISTS + LEADERS:
+        return list(range(len(rivals)))
+    shares = []
+    for number, labels in enumerate(rivals, 1):
+        shares.append(_detected(_switches(data, task, labels, SCREENING_COLUMNS)))
+        on_round(Round("recognise", number, len(rivals), 1 - shares[-1], shares[-1], None))
+    recognised = sorted(range(len(rivals)), key=lambda k: -shares[k])
+    return list(dict.fromkeys([*recognised[:FINALISTS], *range(LEADERS)]))
+
+
+def _switches(
+    data: SortedLevels, task: Task, labels: Int64[Tensor, " frames"], columns: int
+) -> SwitchFunctions:
+    """Quick switch functions of a rival, `columns` random columns searched a round."""
+    generator = torch.Generator().manual_seed(task.seed)
+    learner = StumpLearner(data, drawn=columns)
+    return fit_switches(learner, labels, task.lengths, generator, rounds=SWITCH_ROUNDS, groups=task.groups)
 
 
 def _detected(switches: SwitchFunctions) -> float:
