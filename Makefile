@@ -9,7 +9,7 @@ PEERS := $(VENV)/.bench-$(VERSION)
 BIN := $(VENV)/bin
 WORKERS ?= 2
 
-.PHONY: help venv test lint types pytest demo clean-demo bench bench-segmentation bench-selectors
+.PHONY: help venv test lint types pytest demo clean-demo bench bench-segmentation bench-selectors table
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -89,6 +89,10 @@ bench-segmentation: $(PEERS) $(DATASET)/meta/info.json $(LEVELS) ## compare segm
 
 bench-selectors: $(INSTALLED) $(DATASET)/meta/info.json $(LEVELS) ## which criterion tells the true segmentation from its rivals (hours; QUICK=1 likewise)
 	$(BIN)/python benchmarks/bench_selectors.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
+
+# A quick table is printed only: docs/results.md holds the whole one.
+table: $(INSTALLED) ## success of teacher, baseline and DPBoost, into docs/results.md (hours; QUICK=1 a coarse table in minutes)
+	$(BIN)/python benchmarks/table1.py --workers=$(WORKERS) $(if $(QUICK),--quick=true,--report=docs/results.md) $(TABLE)
 
 $(BABYAI)/%/meta/info.json: | $(INSTALLED)
 	$(BIN)/python datasets/record_babyai.py --root=$(BABYAI)/$* --level=$* --episodes=100 --seed=0

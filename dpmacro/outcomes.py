@@ -28,6 +28,27 @@ class SuccessSummary:
         return self.successes / self.runs
 
 
+@dataclass(frozen=True)
+class Paired:
+    """Runs of two planners in the same worlds, world by world.
+
+    Attributes:
+        both, only_first, only_second, neither: pairs by who succeeded.
+        p: of the exact two-sided McNemar test, in 0..1.
+    """
+
+    both: int
+    only_first: int
+    only_second: int
+    neither: int
+    p: float
+
+    @property
+    def pairs(self) -> int:
+        """Their number."""
+        return self.both + self.only_first + self.only_second + self.neither
+
+
 def wilson_interval(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
     """Interval of a success rate, in 0..1, that keeps its meaning at 0 and at 100% (Wilson 1927).
 
@@ -47,6 +68,29 @@ def wilson_interval(successes: int, runs: int, confidence: float = 0.95) -> tupl
     scale = 1 + z**2 / runs
     # At 0 and at 100% rounding could leave the rate itself a hair outside.
     return max(0.0, min(rate, (centre - margin) / scale)), min(1.0, max(rate, (centre + margin) / scale))
+
+
+def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
+    """Whether two planners differ, from the worlds in which one alone succeeds (McNemar 1947, exact).
+
+    Were they equally good, each of the d = b + c worlds, b won by the first alone and c by the second alone,
+    would fall to either as a coin does:
+
+        p = P(|B - d/2| >= |b - d/2|),  B ~ Binomial(d, 1/2);  1 if d = 0.
+
+    Args:
+        first, second: whether the run in world i succeeded, for the same worlds in the same order.
+
+    Raises ValueError for no pairs, or sequences of different lengths.
+    """
+    from scipy.stats import binomtest  # late: eval.py's workers import this module and do not need it
+
+    if len(first) != len(second) or not len(first):
+        raise ValueError(f"{len(first)} and {len(second)} runs: give as many of each, 1 or more")
+    counts = Counter((bool(a), bool(b)) for a, b in zip(first, second, strict=True))
+    b, c = counts[True, False], counts[False, True]
+    p = float(binomtest(b, b + c).pvalue) if b + c else 1.0
+    return Paired(counts[True, True], b, c, counts[False, False], p)
 
 
 def success_summary(

@@ -18,6 +18,7 @@ from dpmacro.figures import (
     edge_counts,
     elbow,
     heat_maps,
+    learning_curve,
     macro_colour,
     save,
     selection_chart,
@@ -29,6 +30,7 @@ from dpmacro.figures import (
     transition_graph,
 )
 from dpmacro.figures.style import faded
+from dpmacro.outcomes import wilson_interval
 
 
 def demonstration(frames, change):
@@ -89,6 +91,11 @@ OUTCOMES = {
     "DPBoost, 2 macro-actions": {"success": 0, "blue_never_reached": 1},
     "teacher": {"success": 3},
 }
+CURVE = {
+    "baseline, one classifier": {20: (24, 100), 5: (10, 100), 10: (0, 100), 50: (30, 100), 100: (33, 100)},
+    "DPBoost, 2 macro-actions": {5: (40, 100), 10: (55, 100), 20: (100, 100), 50: (70, 100)},
+    "DPBoost, 4 macro-actions": {20: (1, 2)},
+}
 PICTURES = {
     "timeline": long_timeline,
     "short timeline": lambda: timeline(*demonstration(3, 1)[:3]),
@@ -106,6 +113,8 @@ PICTURES = {
     "selection by macros": lambda: selection_chart(points(lambda q: [q]), 1, "Which Q"),
     "one macro-action chosen": lambda: selection_chart(points(lambda q: [q - 1, 2 * q - 2])),
     "one point": lambda: selection_chart(points(lambda q: [1])[:1], 0),
+    "learning curve": lambda: learning_curve(CURVE, {"teacher": (88, 100)}, "Random flags"),
+    "one point of a curve": lambda: learning_curve({"baseline": {1: (0, 1)}}),
     "elbow": lambda: elbow(np.array([3.0, 1.0, 0.9]), 1, "Cost"),
     "steep elbow": lambda: elbow(np.array([80.0, 1.0, 0.9]), 2),
     "one bound": lambda: elbow(np.array([3.0])),
@@ -328,6 +337,30 @@ def test_a_selection_of_one_point_counts_in_whole_numbers():
         low, high = axis.get_xlim()
         shown = [tick for tick in axis.get_xticks() if low <= tick <= high]
         assert shown == [round(tick) for tick in shown]
+
+
+def test_a_learning_curve_has_every_point_with_its_interval():
+    figure = learning_curve(CURVE, {"teacher": (88, 100)})
+    [axis] = figure.axes
+    curves_drawn = [container for container in axis.containers if container.has_yerr]
+    for counts, drawn in zip(CURVE.values(), curves_drawn, strict=True):
+        line, _, [bars] = drawn.lines
+        numbers = sorted(counts)
+        assert line.get_xdata() == pytest.approx(numbers, rel=0.1)
+        assert line.get_ydata() == pytest.approx([counts[n][0] / counts[n][1] for n in numbers])
+        ends = [tuple(segment[:, 1]) for segment in bars.get_segments()]
+        assert ends == [pytest.approx(wilson_interval(*counts[n])) for n in numbers]
+    assert [line.get_ydata()[0] for line in axis.lines if line.get_linestyle() == "--"] == [0.88]
+    [band] = axis.patches
+    assert (band.get_y(), band.get_y() + band.get_height()) == pytest.approx(wilson_interval(88, 100))
+    FigureCanvasAgg(figure).draw()
+    assert [label.get_text() for label in axis.get_xticklabels()] == ["5", "10", "20", "50", "100"]
+
+
+@pytest.mark.parametrize("counts", [{}, {0: (1, 2), 5: (1, 2)}])
+def test_a_learning_curve_needs_demonstrations(counts):
+    with pytest.raises(ValueError, match=r"^teacher has points at \["):
+        learning_curve({"teacher": counts})
 
 
 def test_an_elbow_marks_its_bound():

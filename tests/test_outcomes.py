@@ -1,6 +1,10 @@
-import pytest
+from math import comb
 
-from dpmacro.outcomes import success_summary, wilson_interval
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dpmacro.outcomes import mcnemar, success_summary, wilson_interval
 
 
 @pytest.mark.parametrize(
@@ -51,3 +55,31 @@ def test_the_interval_holds_the_rate_itself():
         for successes in range(runs + 1):
             low, high = wilson_interval(successes, runs)
             assert 0 <= low <= successes / runs <= high <= 1
+
+
+@settings(deadline=None)  # scipy is imported by the first call
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=40))
+def test_mcnemar_is_a_coin_thrown_in_the_worlds_that_tell(pairs):
+    first, second = zip(*pairs, strict=True)
+    found, mirrored = mcnemar(first, second), mcnemar(second, first)
+    b, c = pairs.count((True, False)), pairs.count((False, True))
+    assert (found.both, found.neither) == (pairs.count((True, True)), pairs.count((False, False)))
+    assert (found.only_first, found.only_second) == (b, c)
+    assert found.pairs == len(pairs)
+    throws = b + c
+    as_far = [comb(throws, k) for k in range(throws + 1) if abs(2 * k - throws) >= abs(b - c)]
+    assert found.p == pytest.approx(sum(as_far) / 2**throws)
+    assert (mirrored.only_first, mirrored.only_second, mirrored.p) == (c, b, pytest.approx(found.p))
+
+
+def test_mcnemar_agrees_with_a_published_value():
+    # Agresti's 150 and 86 voters who change their mind, exact p of R's exact2x2; R's binom.test(6, 16).
+    voters = mcnemar([True] * 150 + [False] * 86, [False] * 150 + [True] * 86)
+    assert voters.p == pytest.approx(3.716e-05, rel=1e-3)
+    assert mcnemar([True] * 6 + [False] * 10, [False] * 6 + [True] * 10).p == pytest.approx(0.4545, abs=5e-5)
+
+
+@pytest.mark.parametrize(("first", "second"), [([], []), ([True], [True, False]), ([True], [])])
+def test_mcnemar_needs_pairs(first, second):
+    with pytest.raises(ValueError, match=f"{len(first)} and {len(second)} runs: give as many of each"):
+        mcnemar(first, second)

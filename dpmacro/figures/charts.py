@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, PercentFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 
 from dpmacro.figures.style import INK, PALETTE, WIDTH, bare, legend, plain, set_title
 from dpmacro.outcomes import wilson_interval
@@ -74,6 +74,49 @@ def success_chart(outcomes: Mapping[str, Mapping[str, int]], title: str = "") ->
     axis.xaxis.set_major_formatter(PercentFormatter(1.0))
     axis.set_xlabel("share of runs, whiskers: 95% interval of the success rate")
     legend(figure, [OUTCOME_COLOURS[kind] for kind in kinds], [kind.replace("_", " ") for kind in kinds])
+    set_title(figure, title)
+    return figure
+
+
+def learning_curve(
+    lines: Mapping[str, Mapping[int, tuple[int, int]]],
+    levels: Mapping[str, tuple[int, int]] | None = None,
+    title: str = "",
+) -> Figure:
+    """Success rate over the number of demonstrations, a line for every planner, with 95% Wilson intervals.
+
+    Args:
+        lines: planner's name -> demonstrations -> (successes, runs).
+        levels: name -> (successes, runs) of planners that learn from none, horizontal with their interval.
+        title: above all.
+
+    Raises ValueError where a planner has no point, or one of fewer than 1 demonstration.
+    """
+    for name, counts in lines.items():
+        if min(counts, default=0) < 1:
+            raise ValueError(f"{name} has points at {list(counts)}: give one or more, of 1 or more")
+    levels = levels or {}
+    figure = Figure(figsize=(WIDTH * 0.75, 4.6), layout="constrained")
+    axis = figure.subplots()
+    colours = _cycle(len(lines) + len(levels))
+    for place, (colour, counts) in enumerate(zip(colours, lines.values(), strict=False)):
+        numbers = sorted(counts)
+        rates = np.array([counts[n][0] / counts[n][1] for n in numbers])
+        ends = np.array([wilson_interval(*counts[n]) for n in numbers]).T
+        x = np.array(numbers) * (1 + DODGE / 2) ** (place - (len(lines) - 1) / 2)
+        style: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 5, "linewidth": 1.8}
+        axis.errorbar(x, rates, yerr=np.abs(ends - rates), capsize=4, **style)
+    for colour, count in zip(colours[len(lines) :], levels.values(), strict=True):
+        axis.axhline(count[0] / count[1], color=colour, linewidth=1.8, linestyle=(0, (4, 2)))
+        axis.axhspan(*wilson_interval(*count), color=colour, alpha=0.12, linewidth=0)
+    _panel(axis, "success rate, bars and band: 95% interval", "demonstrations")
+    axis.set_xscale("log")
+    axis.set_xticks(sorted({number for counts in lines.values() for number in counts}))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_locator(NullLocator())
+    axis.set_ylim(-0.02, 1.02)
+    axis.yaxis.set_major_formatter(PercentFormatter(1.0))
+    legend(figure, colours, [*lines, *levels])
     set_title(figure, title)
     return figure
 

@@ -1,0 +1,172 @@
+"""Table I: how often teacher, baseline and DPBoost succeed, with fixed and with random flags.
+
+    python benchmarks/table1.py --report=docs/results.md
+    python benchmarks/table1.py --parts='[main]' --flags='[random]' --planners='[teacher, dpboost-2]'
+    python benchmarks/table1.py --quick=true
+
+Records demonstrations, trains and tests whatever is not there yet, so that an interrupted run goes on where
+it was. Rows are written after every cell to `<output_dir>.json`; those of other cells stay.
+"""
+
+import json
+import shlex
+import signal
+import sys
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from report import header
+from table_cells import FLAGS, PARTS, PLANNERS, TRAIN_SEEDS, Cell, Key, cells, demonstrations_needed
+from table_report import main_table, write_report
+from table_rows import Row
+from table_runs import Runs, work
+from tqdm import tqdm
+
+from dpmacro import cli
+from dpmacro.files import replacing
+from dpmacro.rollouts import SUCCESS
+
+DEFAULT_PLANNERS = ("teacher", "baseline", "dpboost-2", "dpboost-4", "dpboost-2-dagger")
+QUICK_PLANNERS = DEFAULT_PLANNERS[:4]
+QUICK_EPISODES = 30
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """Which cells, and where they are kept."""
+
+    parts: list[str] = field(default_factory=lambda: list(PARTS))
+    """main: the table; curve: over numbers of demonstrations; paper: the paper's 320x240 rendering."""
+    flags: list[str] = field(default_factory=lambda: list(FLAGS))
+    """random, fixed; curve and paper have random flags."""
+    planners: list[str] = field(default_factory=lambda: list(DEFAULT_PLANNERS))
+    """teacher, baseline, dpboost-2, dpboost-4, dpboost-2-dagger, dpboost-4-dagger."""
+    train_seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
+    """Training seeds, each with demonstrations of its own; curve and paper have the first."""
+    demonstrations: int = 20
+    """Demonstrations that every planner learns from."""
+    curve: list[int] = field(default_factory=lambda: [5, 10, 20, 50, 100])
+    """Numbers of demonstrations on the learning curve."""
+    episodes: int = 200
+    """Runs of every cell; curve and paper have at most 100."""
+    quick: bool = False
+    """Random flags, one training seed, 30 episodes, main table only; rows go to <output_dir>_quick.json."""
+    workers: int = 2
+    """Processes that record and run; the results do not depend on it."""
+    output_dir: Path = Path("outputs/table1")
+    """Folder of demonstrations, policies and runs."""
+    report: Path | None = None
+    """Markdown file to put the results into, between its two table marks; the picture goes beside it."""
+
+    def __post_init__(self) -> None:
+        for name, known in (("parts", PARTS), ("flags", FLAGS), ("planners", PLANNERS)):
+            for value in getattr(self, name):
+                if value not in known:
+                    raise ValueError(f"{name} has {value!r}: choose from {', '.join(known)}")
+        for seed in self.train_seeds:
+            if seed not in TRAIN_SEEDS:
+                raise ValueError(f"train_seeds has {seed}: give 0 to {TRAIN_SEEDS[-1]}, others would test")
+        for name in ("parts", "flags", "planners", "train_seeds", "curve"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} is empty: give one at least")
+        for name in ("demonstrations", "episodes", "workers"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}: give 1 or more")
+        if min(self.curve) < 1:
+            raise ValueError(f"curve has {min(self.curve)}: give 1 or more")
+
+    @property
+    def rows(self) -> Path:
+        """The file of rows; a quick run has one of its own."""
+        return self.output_dir.with_name(self.output_dir.name + ("_quick.json" if self.quick else ".json"))
+
+    @property
+    def plan(self) -> list[Cell]:
+        """The cells."""
+        asked = self
+        if self.quick:
+            asked = replace(
+                self,
+                quick=False,
+                parts=["main"],
+                flags=["random"],
+                planners=[name for name in self.planners if name in QUICK_PLANNERS],
+                train_seeds=self.train_seeds[:1],
+                episodes=min(self.episodes, QUICK_EPISODES),
+            )
+        return cells(
+            asked.parts,
+            asked.flags,
+            asked.planners,
+            asked.train_seeds,
+            asked.demonstrations,
+            asked.curve,
+            asked.episodes,
+        )
+
+
+def main(options: TableOptions) -> None:
+    """Make what is missing, writing the rows as they come; print the table, also of an interrupted run."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    lines = header(shlex.join(["python", *sys.orig_argv[1:]]))
+    print("\n".join(lines), flush=True)
+    origin = {"date": datetime.now().isoformat(timespec="seconds")}
+    origin |= dict(line.split(maxsplit=1) for line in lines)
+    rows, plan = read_rows(options.rows), options.plan
+    needed = demonstrations_needed(plan)
+    try:
+        with tqdm(total=work(plan, needed), unit="episode", dynamic_ncols=True) as bar:
+            runs = Runs(options.output_dir, options.workers, origin["commit"], needed, bar)
+            for cell in plan:
+                rows[cell.key] = row(cell, *runs.outcomes(cell))
+                with replacing(options.rows) as path:
+                    path.write_text(json.dumps({**origin, "rows": list(rows.values())}, indent=1) + "\n")
+    finally:
+        if rows:
+            print("\n".join(main_table(list(rows.values()), options.demonstrations)))
+            print(f"rows     {options.rows}")
+    if options.report is not None:
+        found = {**origin, "rows": list(rows.values())}
+        write_report(found, options.demonstrations, options.train_seeds[0], options.report)
+        print(f"report   {options.report}")
+
+
+def row(cell: Cell, outcomes: dict[int, str], stamps: list[dict[str, Any]]) -> Row:
+    """A cell's results; `per_episode` says of every seed whether its run succeeded."""
+    successes = [outcome == SUCCESS for outcome in outcomes.values()]
+    trained = stamps[0] if cell.train_seed is not None else None
+    return {
+        "flags": cell.flags,
+        "planner": cell.planner,
+        "demonstrations": cell.demonstrations,
+        "train_seed": cell.train_seed,
+        "render_size": list(cell.render_size),
+        "successes": sum(successes),
+        "n": len(successes),
+        "outcomes": dict(Counter(outcomes.values())),
+        "seeds": list(outcomes),
+        "per_episode": successes,
+        "commits": sorted({stamp["commit"] for stamp in stamps}),
+        "training": trained and trained["command"],
+        "training_seconds": trained and trained["seconds"],
+    }
+
+
+def read_rows(path: Path) -> dict[Key, Row]:
+    """The rows of every cell in the file, if it is there. Raises ValueError where it holds something else."""
+    if not path.exists():
+        return {}
+    try:
+        return {
+            (r["flags"], r["planner"], r["demonstrations"], r["train_seed"], tuple(r["render_size"])): r
+            for r in json.loads(path.read_text())["rows"]
+        }
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} holds no rows of this table: give another --output_dir") from error
+
+
+if __name__ == "__main__":
+    cli.run(main, TableOptions)

@@ -1,0 +1,204 @@
+"""Table I as markdown: rates, planners side by side in the same worlds, failures, learning curve."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from table_cells import DEFAULT_SIZE, FLAGS, PAPER_SIZE, PLANNERS, SWEEP, TEACHER
+from table_rows import Row, count, curve_points, groups, paired, pooled
+
+from dpmacro import figures
+from dpmacro.files import replacing
+from dpmacro.outcomes import Paired, wilson_interval
+from dpmacro.rollouts import OUTCOMES, SUCCESS
+
+__all__ = ["MARKS", "inserted", "main_table", "report", "write_report"]
+
+MARKS = ("<!-- table -->", "<!-- /table -->")
+PICTURE = "learning_curve.png"
+PAIRS = (
+    ("dpboost-2", "baseline"),
+    ("dpboost-4", "baseline"),
+    ("dpboost-4", "dpboost-2"),
+    ("dpboost-2", TEACHER),
+    ("dpboost-4", TEACHER),
+    ("dpboost-2-dagger", "dpboost-2"),
+    ("dpboost-2-dagger", TEACHER),
+    ("dpboost-4-dagger", "dpboost-4"),
+    ("dpboost-4-dagger", TEACHER),
+)
+POOLED = """\
+Successes are pooled over training seeds. The 95% Wilson interval takes all runs for independent, which those
+of one policy are not: they share its luck in training. So the rate of every training seed stands beside it.
+The paper's rates are those of its own world."""
+COMPARED = """\
+A pair is two runs of the same training seed in the same world; the teacher, which has one run a world, stands
+in the pair of every training seed. p: exact two-sided McNemar test, which takes pairs for independent."""
+
+
+def write_report(found: Row, demonstrations: int, seed: int, path: Path) -> None:
+    """Put `report` between the marks of a markdown file, made where there is none, the picture beside it.
+
+    Raises ValueError where the file has one mark without the other.
+    """
+    text = inserted(path.read_text() if path.exists() else "", report(found, demonstrations, seed))
+    points = curve_points(found["rows"], seed)
+    if points:
+        teacher = groups(found["rows"], "random", demonstrations).get(TEACHER, [])
+        levels = {_title(TEACHER): count(row, SWEEP) for row in teacher}
+        lines = {_title(name): counts for name, counts in points.items()}
+        title = f"Random flags, training seed {seed}, {SWEEP} runs a point"
+        figures.save(figures.learning_curve(lines, levels, title), path.parent / PICTURE)
+    with replacing(path) as temporary:
+        temporary.write_text(text)
+
+
+def inserted(text: str, table: str) -> str:
+    """The text with what is between its marks replaced; with marks and table at its end where it has none."""
+    before, start, rest = text.partition(MARKS[0])
+    _, end, after = rest.partition(MARKS[1])
+    if bool(start) != (MARKS[1] in text) or bool(start) != bool(end):
+        raise ValueError(f"the report needs {' and later '.join(MARKS)}, or neither: correct the marks")
+    if not start:
+        before, after = text and text.rstrip("\n") + "\n\n", "\n"
+    return f"{before}{MARKS[0]}\n{table}\n{MARKS[1]}{after}"
+
+
+def report(found: Row, demonstrations: int, seed: int) -> str:
+    """All tables.
+
+    Args:
+        found: {"commit", "date", "command", "machine", "versions", "rows"}.
+        demonstrations: that the planners of the main table learn from.
+        seed: training seed of the learning curve and of the paper's rendering.
+    """
+    rows = found["rows"]
+    blocks = [
+        list(_origin(found, demonstrations)),
+        main_table(rows, demonstrations),
+        [POOLED],
+        _comparisons(rows, demonstrations),
+        [COMPARED],
+        _failures(rows, demonstrations),
+        _curve(rows, seed),
+        _rendering(rows, demonstrations, seed),
+    ]
+    return "\n\n".join("\n".join(block) for block in blocks if block)
+
+
+def main_table(rows: Sequence[Row], demonstrations: int) -> list[str]:
+    """A line for every planner and kind of flags: pooled rate, interval, rate of each training seed."""
+    lines = []
+    for flags in FLAGS:
+        of_planner = groups(rows, flags, demonstrations)
+        level = _rate(*pooled(of_planner[TEACHER])) if TEACHER in of_planner else None
+        for name, group in of_planner.items():
+            successes, runs = pooled(group)
+            rate, paper = _rate(successes, runs), PLANNERS[name].paper.get(flags)
+            low, high = wilson_interval(successes, runs)
+            lines.append(
+                [
+                    flags,
+                    _title(name),
+                    f"{successes} of {runs}",
+                    f"{rate:.1%}",
+                    f"{low:.1%} to {high:.1%}",
+                    ", ".join(f"{_rate(*count(row)):.1%}" for row in group) if name != TEACHER else "",
+                    f"{100 * (rate - level):+.1f} points" if level is not None and name != TEACHER else "",
+                    f"{paper}%" if paper is not None else "",
+                ]
+            )
+    headings = "flags|planner|successes|rate|95% interval|by training seed|beside the teacher|paper"
+    return _table(headings, lines)
+
+
+def _origin(found: Row, demonstrations: int) -> Iterator[str]:
+    seeds = sorted({seed for row in found["rows"] for seed in row["seeds"]})
+    commits = sorted({commit for row in found["rows"] for commit in row["commits"]})
+    training = sorted({row["train_seed"] for row in found["rows"]} - {None})
+    learned = f"training seeds {', '.join(map(str, training)) or 'none'}"
+    yield f"{demonstrations} demonstrations unless said; {learned}; test worlds {seeds[0]} to {seeds[-1]},"
+    yield f"the same for all. Trained and run at commit {', '.join(commits)}; written {found['date']}."
+    yield f"{found['machine']}; {found['versions']}.\n"
+    yield f"    {found['command']}"
+
+
+def _comparisons(rows: Sequence[Row], demonstrations: int) -> list[str]:
+    lines = []
+    for flags in FLAGS:
+        of_planner = groups(rows, flags, demonstrations)
+        for first, second in PAIRS:
+            compared = paired(of_planner.get(first, []), of_planner.get(second, []))
+            if compared is not None:
+                lines.append([flags, _title(first), _title(second), *_compared(compared)])
+    return _table("flags|first|second|pairs|only the first succeeds|only the second|p", lines)
+
+
+def _failures(rows: Sequence[Row], demonstrations: int) -> list[str]:
+    kinds = [outcome for outcome in OUTCOMES if outcome != SUCCESS]
+    lines = []
+    for flags in FLAGS:
+        for name, group in groups(rows, flags, demonstrations).items():
+            counts: Counter[str] = Counter()
+            for row in group:
+                counts.update(row["outcomes"])
+            failures = str(sum(counts[kind] for kind in kinds))
+            lines.append([flags, _title(name), failures, *(str(counts[kind]) for kind in kinds)])
+    return _table("|".join(["flags|planner|failures", *(kind.replace("_", " ") for kind in kinds)]), lines)
+
+
+def _curve(rows: Sequence[Row], seed: int) -> list[str]:
+    points = curve_points(rows, seed)
+    if not points:
+        return []
+    numbers = sorted({number for counts in points.values() for number in counts})
+    lines = [
+        [_title(name), *("{} of {}".format(*counts[n]) if n in counts else "" for n in numbers)]
+        for name, counts in points.items()
+    ]
+    picture = f"![Success over the number of demonstrations]({PICTURE})"
+    return [picture, "", *_table("|".join(["random flags, demonstrations", *map(str, numbers)]), lines)]
+
+
+def _rendering(rows: Sequence[Row], demonstrations: int, seed: int) -> list[str]:
+    ours, theirs = (
+        {
+            name: [row for row in group if row["train_seed"] == seed]
+            for name, group in groups(rows, "random", demonstrations, size).items()
+        }
+        for size in (DEFAULT_SIZE, PAPER_SIZE)
+    )
+    lines = []
+    for name, group in theirs.items():
+        compared = paired(group, ours.get(name, []), SWEEP)
+        if compared is not None:
+            rates = ["{} of {}".format(*count(row, SWEEP)) for row in (*group, *ours[name])]
+            lines.append([_title(name), *rates, *_compared(compared)])
+    default, paper = ("{}x{}".format(*size) for size in (DEFAULT_SIZE, PAPER_SIZE))
+    return _table(f"random flags, rendered at|{paper}|{default}|pairs|only {paper}|only {default}|p", lines)
+
+
+def _rate(successes: int, runs: int) -> float:
+    return successes / runs
+
+
+def _compared(found: Paired) -> list[str]:
+    p = "< 0.001" if found.p < 0.001 else f"{found.p:.3f}"
+    return [str(found.pairs), str(found.only_first), str(found.only_second), p]
+
+
+def _title(name: str) -> str:
+    return PLANNERS[name].title
+
+
+def _table(headings: str, lines: Sequence[Sequence[str]]) -> list[str]:
+    """Markdown whose columns align; nothing where there is no line."""
+    if not lines:
+        return []
+    cells = [headings.split("|"), *lines]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    rule = ["-" * width for width in widths]
+    return [
+        "| " + " | ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)) + " |"
+        for line in [cells[0], rule, *cells[1:]]
+    ]

@@ -1,0 +1,69 @@
+"""What the rows of Table I say: counts, planners side by side in the same worlds, points of the curve."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from table_cells import DEFAULT_SIZE, PLANNERS, SWEEP, TEACHER
+
+from dpmacro.outcomes import Paired, mcnemar
+
+__all__ = ["Row", "count", "curve_points", "groups", "paired", "pooled"]
+
+Row = dict[str, Any]
+
+
+def count(row: Row, runs: int | None = None) -> tuple[int, int]:
+    """Successes and runs; at most the first `runs`."""
+    of = row["per_episode"][:runs]
+    return sum(of), len(of)
+
+
+def pooled(group: Iterable[Row]) -> tuple[int, int]:
+    """Successes and runs of all rows."""
+    counts = [count(row) for row in group]
+    return sum(successes for successes, _ in counts), sum(runs for _, runs in counts)
+
+
+def groups(
+    rows: Iterable[Row], flags: str, demonstrations: int, size: tuple[int, int] = DEFAULT_SIZE
+) -> dict[str, list[Row]]:
+    """Planner -> its rows, one for every training seed; the teacher's whatever demonstrations and size."""
+    found: dict[str, list[Row]] = {}
+    for name in PLANNERS:
+        for row in rows:
+            learned = row["demonstrations"] == demonstrations and tuple(row["render_size"]) == size
+            if row["flags"] == flags and row["planner"] == name and (learned or name == TEACHER):
+                found.setdefault(name, []).append(row)
+    return {name: sorted(group, key=lambda row: row["train_seed"] or 0) for name, group in found.items()}
+
+
+def paired(first: Sequence[Row], second: Sequence[Row], runs: int | None = None) -> Paired | None:
+    """Compare rows in the worlds that they share, training seed by training seed; None where there is none.
+
+    A row without a training seed, the teacher's, is paired with every row of the other. At most the first
+    `runs` worlds of a row count.
+    """
+    one: list[bool] = []
+    other: list[bool] = []
+    for a in first:
+        for b in second:
+            if a["train_seed"] == b["train_seed"] or None in (a["train_seed"], b["train_seed"]):
+                mine, its = _successes(a, runs), _successes(b, runs)
+                worlds = [seed for seed in mine if seed in its]
+                one += [mine[seed] for seed in worlds]
+                other += [its[seed] for seed in worlds]
+    return mcnemar(one, other) if one else None
+
+
+def curve_points(rows: Iterable[Row], seed: int) -> dict[str, dict[int, tuple[int, int]]]:
+    """Planner -> demonstrations -> (successes, runs), random flags; {} unless some planner has two points."""
+    points: dict[str, dict[int, tuple[int, int]]] = {}
+    for row in sorted(rows, key=lambda row: row["demonstrations"]):
+        of_curve = row["train_seed"] == seed and tuple(row["render_size"]) == DEFAULT_SIZE
+        if row["flags"] == "random" and of_curve and PLANNERS[row["planner"]].swept:
+            points.setdefault(row["planner"], {})[row["demonstrations"]] = count(row, SWEEP)
+    return points if any(len(counts) > 1 for counts in points.values()) else {}
+
+
+def _successes(row: Row, runs: int | None) -> dict[int, bool]:
+    return dict(zip(row["seeds"][:runs], row["per_episode"][:runs], strict=True))

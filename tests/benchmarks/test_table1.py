@@ -1,0 +1,144 @@
+"""Table I from its options to its files, once with real demonstrations, training and runs."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "benchmarks"))  # as the script itself finds its neighbours
+
+import table_cells  # noqa: E402
+import table_runs  # noqa: E402
+from table1 import TableOptions, main, read_rows  # noqa: E402
+from table_jobs import read_stamp  # noqa: E402
+
+from dpmacro import cli  # noqa: E402
+
+TINY = ("--planner.type=baseline", "--planner.rounds=3", "--planner.rectangles=60")
+ROW = {"flags", "planner", "demonstrations", "train_seed", "successes", "n"}
+
+
+def options(folder, **more):
+    few = {"parts": ["main"], "flags": ["random"], "train_seeds": [3], "demonstrations": 2, "episodes": 1}
+    few |= {"planners": ["teacher", "baseline"], "workers": 1, "output_dir": folder / "table"}
+    return TableOptions(**few | more)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with a tiny table, and the rows of another cell that were there before."""
+    folder = tmp_path_factory.mktemp("table1")
+    other = {"flags": "fixed", "planner": "dpboost-4", "demonstrations": 2, "train_seed": 3}
+    other |= {"render_size": [128, 96], "successes": 1, "n": 1, "outcomes": {"success": 1}}
+    other |= {"seeds": [10_000], "per_episode": [True], "commits": ["before"]}
+    (folder / "table.json").write_text(json.dumps({"rows": [other]}))
+    with pytest.MonkeyPatch.context() as patch:
+        tiny = replace(table_cells.PLANNERS["baseline"], options=TINY)
+        patch.setitem(table_cells.PLANNERS, "baseline", tiny)
+        main(options(folder, report=folder / "docs/results.md"))
+    return folder
+
+
+def test_a_table_is_recorded_trained_and_run(made):
+    found = json.loads((made / "table.json").read_text())
+    assert found.keys() >= {"commit", "date", "command", "rows"}
+    other, teacher, baseline = found["rows"]
+    assert other["commits"] == ["before"]
+    for row, name, demonstrations, seed in ((teacher, "teacher", 0, None), (baseline, "baseline", 2, 3)):
+        assert row.keys() >= ROW
+        assert (row["flags"], row["planner"]) == ("random", name)
+        assert (row["demonstrations"], row["train_seed"]) == (demonstrations, seed)
+        assert row["seeds"] == [10_000] and row["n"] == 1 == sum(row["outcomes"].values())
+        assert row["successes"] == sum(row["per_episode"]) == row["outcomes"].get("success", 0)
+        assert row["commits"] == [found["commit"]]
+    assert "--planner.rounds=3" in baseline["training"] and baseline["training_seconds"] > 0
+    recorded = json.loads((made / "table/data/random_3/meta/info.json").read_text())
+    assert recorded["total_episodes"] == 2
+    [run] = (made / "table/eval").glob("random_3_baseline_2/*/eval_info.json")
+    assert json.loads(run.read_text())["dpmacro"]["world"]["render_size"] == [128, 96]
+    assert read_stamp(run.parent)["commit"] == found["commit"]
+    assert "before" in (made / "docs/results.md").read_text()
+
+
+def test_a_second_run_finds_everything_there(made, monkeypatch, capsys):
+    tiny = replace(table_cells.PLANNERS["baseline"], options=TINY)
+    monkeypatch.setitem(table_cells.PLANNERS, "baseline", tiny)
+    monkeypatch.setattr(table_runs, "run", None)
+    before = json.loads((made / "table.json").read_text())["rows"]
+    main(options(made))
+    assert json.loads((made / "table.json").read_text())["rows"] == before
+    printed = capsys.readouterr().out
+    assert printed.startswith("commit ") and f"rows     {made / 'table.json'}" in printed
+    assert printed.count("| random | ") == 2 and printed.count("| fixed ") == 1
+
+
+def test_a_cell_that_fails_is_one_line_and_the_others_stay(made, monkeypatch, capsys):
+    wrong = replace(table_cells.PLANNERS["dpboost-2"], options=("--planner.macros=0",))
+    monkeypatch.setitem(table_cells.PLANNERS, "dpboost-2", wrong)
+    asked = ["table1.py", f"--output_dir={made / 'table'}", "--parts=[main]", "--flags=[random]"]
+    asked += ["--planners=[teacher, dpboost-2]", "--train_seeds=[3]", "--demonstrations=2", "--episodes=1"]
+    monkeypatch.setattr(sys, "argv", asked)
+    before = read_rows(made / "table.json")
+    with pytest.raises(SystemExit) as ended:
+        cli.run(main, TableOptions)
+    assert ended.value.code == 2
+    *_, line = capsys.readouterr().err.replace("\r", "\n").splitlines()
+    log = made / "table/train/random_3_dpboost-2_2.log"
+    assert line.startswith(
+        "error: training random_3_dpboost-2_2 failed with exit status 2: error: planner.macros"
+    )
+    assert line.endswith(f"(all of it in {log})")
+    assert read_rows(made / "table.json") == before
+
+
+def test_quick_is_coarse_and_has_rows_of_its_own(tmp_path):
+    quick = TableOptions(quick=True, output_dir=tmp_path / "table")
+    assert {(cell.flags, cell.planner, cell.demonstrations, cell.episodes) for cell in quick.plan} == {
+        ("random", "teacher", 0, 30),
+        *(("random", name, 20, 30) for name in ("baseline", "dpboost-2", "dpboost-4")),
+    }
+    assert len(quick.plan) == 4
+    assert quick.rows == tmp_path / "table_quick.json"
+    assert {cell.name for cell in quick.plan} <= {cell.name for cell in TableOptions().plan}
+    [only] = TableOptions(quick=True, planners=["baseline"], train_seeds=[2]).plan
+    assert only.name == "random_2_baseline_20"
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("--parts=[table]", "parts has 'table': choose from main, curve, paper"),
+        ("--flags=[none]", "flags has 'none': choose from random, fixed"),
+        ("--planners=[dpboost]", "planners has 'dpboost': choose from teacher, baseline"),
+        ("--planners=[]", "planners is empty: give one at least"),
+        ("--train_seeds=[5]", "train_seeds has 5: give 0 to 4"),
+        ("--curve=[0]", "curve has 0: give 1 or more"),
+        ("--episodes=0", "episodes is 0: give 1 or more"),
+        ("--episode=3", "unknown option --episode: did you mean --episodes?"),
+    ],
+)
+def test_a_wrong_option_is_one_line(option, message):
+    with pytest.raises(ValueError) as refused:
+        cli.parse(TableOptions, [option])
+    assert str(refused.value).startswith(message)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"rows": [{"benchmark": "round"}]}'])
+def test_a_file_of_other_rows_is_one_line(tmp_path, text):
+    (tmp_path / "table.json").write_text(text)
+    with pytest.raises(
+        ValueError, match=r"table\.json holds no rows of this table: give another --output_dir$"
+    ):
+        main(options(tmp_path))
+    assert (tmp_path / "table.json").read_text() == text
+
+
+def test_the_makefile_calls_it():
+    text = (ROOT / "Makefile").read_text()
+    assert (
+        "benchmarks/table1.py --workers=$(WORKERS) $(if $(QUICK),--quick=true,--report=docs/results.md)"
+        in text
+    )
