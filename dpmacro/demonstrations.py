@@ -130,6 +130,31 @@ class Demonstrations:
             mirror_images=0,
         )
 
+    def joined(self, others: "Demonstrations") -> "Demonstrations":
+        """These trajectories, then the others; truth stays where both have the same column.
+
+        Raises ValueError where images or actions differ, or there are mirror images among them.
+        """
+        for what, ours, theirs in (
+            ("images of", self.images.shape[1:3], others.images.shape[1:3]),
+            ("the actions", self.action_names, others.action_names),
+            ("mirror images:", self.mirror_images, 0),
+            ("mirror images:", others.mirror_images, 0),
+        ):
+            if ours != theirs:
+                raise ValueError(
+                    f"{self.root} has {what} {ours} and {others.root} {theirs}: join like with like"
+                )
+        same_truth = self.truth_name is not None and self.truth_name == others.truth_name
+        return replace(
+            self,
+            images=np.concatenate([self.images, others.images]),
+            actions=np.concatenate([self.actions, others.actions]),
+            lengths=np.concatenate([self.lengths, others.lengths]),
+            truth=np.concatenate([self.truth, others.truth]) if same_truth else None,
+            truth_name=self.truth_name if same_truth else None,
+        )
+
     def mirrored(self, swaps: Sequence[Sequence[int]] | None = None) -> "Demonstrations":
         """These trajectories, then the mirror image of each: left and right exchanged in sight and action.
 

@@ -7,7 +7,15 @@ import torch
 
 from dpmacro.features import FEATURES
 
-__all__ = ["LEARNERS", "PLANNERS", "ConvNetOptions", "DatasetOptions", "PlannerOptions", "TrainOptions"]
+__all__ = [
+    "LEARNERS",
+    "PLANNERS",
+    "ConvNetOptions",
+    "DaggerOptions",
+    "DatasetOptions",
+    "PlannerOptions",
+    "TrainOptions",
+]
 
 PLANNERS = ("dpboost", "baseline")
 LEARNERS = ("stumps", "convnet", "mixed")
@@ -139,11 +147,43 @@ class PlannerOptions:
 
 
 @dataclass(frozen=True)
+class DaggerOptions:
+    """Demonstrations of what the planner itself runs into, with the actions of the world's teacher."""
+
+    iterations: int = 0
+    """How often to gather them and train again."""
+    episodes: int = 20
+    """Runs to gather in every iteration."""
+    seed: int = 20000
+    """Seed of the first of those runs; the others follow it."""
+    validation_episodes: int = 50
+    """Runs whose successes say which iteration to keep."""
+    validation_seed: int = 5000
+    """Seed of the first of those; the others follow it."""
+    workers: int = 2
+    """Processes that share the runs; the results do not depend on it."""
+
+    def __post_init__(self) -> None:
+        least = {"iterations": 0, "seed": 0, "validation_seed": 0}
+        for name, value in vars(self).items():
+            if value < least.get(name, 1):
+                raise ValueError(f"dagger.{name} is {value}: give {least.get(name, 1)} or more")
+        gathered = range(self.seed, self.seed + self.iterations * self.episodes)
+        validating = range(self.validation_seed, self.validation_seed + self.validation_episodes)
+        if max(gathered.start, validating.start) < min(gathered.stop, validating.stop):
+            raise ValueError(
+                f"dagger.seed is {self.seed} and dagger.validation_seed {self.validation_seed}: some worlds "
+                "would serve both, move one of them"
+            )
+
+
+@dataclass(frozen=True)
 class TrainOptions:
     """Options of train.py."""
 
     dataset: DatasetOptions = field(default_factory=DatasetOptions)
     planner: PlannerOptions = field(default_factory=PlannerOptions)
+    dagger: DaggerOptions = field(default_factory=DaggerOptions)
     output_dir: Path | None = None
     """Folder of the run; by default outputs/train/<date>/<time>_<job_name>."""
     job_name: str | None = None

@@ -34,11 +34,12 @@ from dpmacro.monitor import Monitor
 from dpmacro.options import PlannerOptions, TrainOptions
 from dpmacro.policy import MacroPolicy, PolicyConfig
 from dpmacro.quantising import Quantiser
+from dpmacro.recovery import Stretches
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
 from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
 
-__all__ = ["Trainer", "TrainingResult"]
+__all__ = ["Trainer", "TrainingResult", "plain_options"]
 
 TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
 
@@ -94,22 +95,22 @@ class Trainer:
         self._generator = torch.Generator().manual_seed(options.seed)
         self._features, self.plan = self._plan()
 
-    def train(self) -> TrainingResult:
-        """Prepare features, discover macro-actions, fit switch functions, save."""
+    def train(self, start: Int64[Tensor, " frames"] | None = None) -> TrainingResult:
+        """Prepare features, discover macro-actions, fit switch functions, save.
+
+        `start` is a segmentation that is known already: it takes the place of the search.
+        """
         planner = self.options.planner
         with SummaryWriter(str(self.folder.tensorboard)) as writer:
             features, quantiser, data = self._prepare()
             choice = self._choose(data, writer) if len(self._settings) > 1 else None
             macros, bound = self._settings[0] if choice is None else choice.setting
             monitor = Monitor(writer, self.demonstrations, macros)
-            discovery = self._dpboost(macros, bound).fit(
-                data,
-                self.actions,
-                self.lengths,
-                monitor.on_round,
-                self._groups,
-                None if choice is None else choice.search,
-            )
+            dpboost, known = self._dpboost(macros, bound), None if choice is None else choice.search
+            given = data, self.actions, self.lengths
+            if start is not None and macros > 1:
+                known = dpboost.adopt(*given, start, monitor.on_round, self._groups)
+            discovery = dpboost.fit(*given, monitor.on_round, self._groups, known)
             switches = fit_switches(
                 self._learner(planner.switch_learner, planner.switch_rounds, data),
                 discovery.labels,
@@ -125,7 +126,7 @@ class Trainer:
             monitor.close()
             policy = self._policy(features, quantiser, discovery, switches, bound)
             self._report(writer, policy, discovery, switches)
-        options = _plain(asdict(self.options))
+        options = plain_options(self.options)
         lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
         labels = discovery.labels[: int(lengths.sum())]
         pretrained = self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
@@ -240,7 +241,9 @@ class Trainer:
             ),
             world=demonstrations.world,
         )
-        return MacroPolicy.compact(config, features, quantiser, discovery.classifiers, switches.classifier)
+        stretches = Stretches.of(discovery.labels, self.actions, self.lengths)
+        learned = discovery.classifiers, switches.classifier
+        return MacroPolicy.compact(config, features, quantiser, *learned, stretches)
 
     def _report(
         self, writer: SummaryWriter, policy: MacroPolicy, discovery: DPBoostResult, switches: SwitchFunctions
@@ -309,8 +312,12 @@ def _loss_panels(discovery: DPBoostResult) -> dict[str, dict[str, list[float]]]:
     return panels
 
 
-def _plain(value: Any) -> Any:
+def plain_options(options: TrainOptions) -> dict[str, Any]:
     """Options as JSON holds them: paths become strings."""
+    return _plain(asdict(options))
+
+
+def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,77 @@
+"""Work spread over processes: results in order, Ctrl-C left to the parent, no worker that outlives it."""
+
+import itertools
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing.synchronize import Event
+from typing import Any, TypeVar
+
+__all__ = ["spread", "stopped"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def spread(
+    task: Callable[[Item], Result], items: Iterable[Item], workers: int
+) -> Generator[Result, None, None]:
+    """task(item) for every item, in their order, the same for any number of workers.
+
+    Args:
+        task: a function of a module, or a `functools.partial` of one; what it needs for many items it may
+            keep in a `functools.cache`, which lives as long as its process.
+        items: may be endless; only a few more than are asked for are worked on.
+        workers: processes, 1 or more. Closing the generator, or an interrupt, ends them.
+
+    Raises ValueError for workers < 1. What a task raises is raised here.
+    """
+    if workers < 1:
+        raise ValueError(f"workers is {workers}, it must be at least 1")
+    return _spread(task, items, workers)
+
+
+def stopped() -> bool:
+    """In a task: whether nobody waits for its result any more, so that it may return anything."""
+    return _stop is not None and _stop.is_set()
+
+
+def _spread(
+    task: Callable[[Item], Result], items: Iterable[Item], workers: int
+) -> Generator[Result, None, None]:
+    context = multiprocessing.get_context("spawn")
+    stop = context.Event()
+    pool = ProcessPoolExecutor(workers, context, _start_worker, (stop,))
+    waiting = iter(items)
+    pending: deque[Future[Any]] = deque(
+        pool.submit(task, item) for item in itertools.islice(waiting, 2 * workers)
+    )
+    try:
+        while pending:
+            result = pending.popleft().result()
+            pending.extend(pool.submit(task, item) for item in itertools.islice(waiting, 1))
+            yield result
+    finally:
+        stop.set()
+        pool.shutdown(cancel_futures=True)
+
+
+_stop: Event | None = None
+
+
+def _start_worker(stop: Event) -> None:
+    global _stop
+    _stop = stop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def end() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()
