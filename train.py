@@ -2,22 +2,31 @@
 
     python train.py --dataset.root=datasets/two_flags_random --planner.type=dpboost --planner.macros=2
     python train.py --dataset.root=datasets/two_flags_random --planner.type=baseline
+    python train.py --dataset.root=datasets/two_flags_random --dagger.iterations=5
 
 Finds macro-actions, fits a strong classifier to each and switch functions between them, and saves a policy
 for eval.py in `<output_dir>/checkpoints/last/pretrained_model`, pictures and TensorBoard events beside it.
+With `--dagger.iterations` the planner then runs in its world, its teacher says what to do where it comes to,
+and training goes on with those runs; the planner that does best in validation worlds is kept.
 """
 
 import time
+from typing import TYPE_CHECKING
 
 import numpy as np
+from tqdm import tqdm
 
 from dpmacro import cli
 from dpmacro.choosing import Choice
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.metrics import boundary_offsets, frame_accuracy
 from dpmacro.options import TrainOptions
+from dpmacro.outcomes import wilson_interval
 from dpmacro.runs import RunFolder
 from dpmacro.training import Trainer, TrainingResult
+
+if TYPE_CHECKING:
+    from dpmacro.dagger import Iteration
 
 
 def main(options: TrainOptions) -> None:
@@ -29,10 +38,18 @@ def main(options: TrainOptions) -> None:
     if dataset.mirror:
         demonstrations = demonstrations.mirrored(dataset.mirror_actions)
     started = time.perf_counter()
-    result = Trainer(demonstrations, options, folder).train()
+    if options.dagger.iterations:
+        from dpmacro.dagger import aggregate  # worlds and their teachers: a second of imports
+
+        result = aggregate(
+            demonstrations, options, folder, lambda done: tqdm.write(dagger_report(done))
+        ).result
+    else:
+        result = Trainer(demonstrations, options, folder).train()
     print(report(result, folder, time.perf_counter() - started))
     if demonstrations.truth is not None:
-        print(truth_report(result.discovery.labels.numpy(), demonstrations))
+        labels = result.discovery.labels.numpy()[: len(demonstrations.truth)]
+        print(truth_report(labels, demonstrations))
 
 
 def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
@@ -58,6 +75,16 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     ]
     lines += [f"TensorBoard  tensorboard --logdir={folder.tensorboard}"]
     return "\n".join(lines)
+
+
+def dagger_report(iteration: "Iteration") -> str:
+    """How a planner on the way did in validation worlds."""
+    low, high = wilson_interval(iteration.successes, iteration.runs)
+    return (
+        f"dagger {iteration.number}     {iteration.successes} of {iteration.runs} validation runs, "
+        f"{low:.0%} to {high:.0%}, from {iteration.trajectories} trajectories; the one before agreed with the "
+        f"teacher on {iteration.agreement:.1%} of the frames it came to"
+    )
 
 
 def choice_report(choice: Choice) -> list[str]:

@@ -162,7 +162,8 @@ class DPBoost:
             held = labels, task.actions, task.lengths, rounds, self.fit_shrinkage
             rounds = validated_rounds(learner, *held, generator, task.groups, on_round)
         costs = None if search is None else self._switch_costs(search.kept, task)
-        task = replace(task, macros=int(labels.max()) + 1)
+        if search is not None:
+            task = replace(task, macros=int(labels.max()) + 1, max_transitions=search.kept_transitions)
         boosting = self._boosting(learner, task, 1, self.fit_shrinkage, generator)
         fitted = self._alternate(boosting, task, labels[None], "fit", rounds, on_round, costs)
         found = fitted.labels[0]

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from dpmacro.alternation import SwitchCosts
 from dpmacro.crossfit import bounded_deviance
-from dpmacro.segmentation import segment
+from dpmacro.segmentation import segment, transition_counts
 from dpmacro.selection import Judged, Task
 from dpmacro.switching import macro_segments
 
@@ -31,12 +31,14 @@ MARGIN = 3.0  # of the bounded deviances
 def resegmented(judged: Judged, task: Task, weight: float = 1.0) -> Int64[Tensor, " frames"]:
     """The segmentation that left-out classifiers and switch functions of a rival agree on.
 
-    `weight` is how much the switch functions count beside the actions.
+    It has no more transitions in a trajectory than the rival has in any. `weight` is how much the switch
+    functions count beside the actions.
     """
     targets = torch.nn.functional.one_hot(task.actions.cpu(), task.n_actions).bool()
     costs = bounded_deviance(judged.scores, targets[:, None], MARGIN).double()
     extra = switch_costs(judged, task, weight)
-    return segment(costs + extra.staying, task.lengths, task.max_transitions, extra.changing).labels
+    bound = min(task.max_transitions, int(transition_counts(judged.labels, task.lengths).max()))
+    return segment(costs + extra.staying, task.lengths, bound, extra.changing).labels
 
 
 def switch_costs(judged: Judged, task: Task, weight: float = 1.0) -> SwitchCosts:

@@ -49,6 +49,11 @@ class Search:
         return self.judged[self.best]
 
     @property
+    def kept_transitions(self) -> int:
+        """The most transitions of the one to keep in any trajectory: of the final fit, the bound."""
+        return int(transition_counts(self.kept.labels, self.task.lengths).max())
+
+    @property
     def verdicts(self) -> tuple[Verdict, ...]:
         """What left-out data says of each that was judged."""
         return tuple(rival.verdict for rival in self.judged)

@@ -124,7 +124,7 @@ class Trainer:
                 on_round=monitor.on_round,
             )
             monitor.close()
-            policy = self._policy(features, quantiser, discovery, switches, bound)
+            policy = self._policy(features, quantiser, discovery, switches)
             self._report(writer, policy, discovery, switches)
         options = plain_options(self.options)
         lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
@@ -220,7 +220,6 @@ class Trainer:
         quantiser: Quantiser,
         discovery: DPBoostResult,
         switches: SwitchFunctions,
-        max_transitions: int,
     ) -> MacroPolicy:
         demonstrations = self.demonstrations
         height, width = demonstrations.images.shape[1:3]
@@ -233,7 +232,7 @@ class Trainer:
             features=self.options.planner.features,
             switches=tuple(switches.pairs),
             thresholds=tuple(switches.thresholds.tolist()),
-            max_transitions=max_transitions,
+            max_transitions=0 if discovery.search is None else discovery.search.kept_transitions,
             switch_weight=discovery.switch_weight,
             change_log_odds=tuple(
                 tuple(row)

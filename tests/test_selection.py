@@ -4,7 +4,7 @@ import pytest
 import torch
 from visible import task_of, visible_change
 
-from dpmacro.selection import Verdict, best_verdict, confidence, distinct, judge
+from dpmacro.selection import FINALISTS, LEADERS, Verdict, best_verdict, confidence, distinct, judge
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,19 @@ def test_the_true_segmentation_is_run_best(judged):
     assert right.gain > 3 * right.gain_error > 0
     assert abs(one.gain) < 1e-6  # the very classifier that it is compared with
     assert rivals[best_verdict([rival.verdict for rival in rivals])].labels is by_labels(rivals, truth).labels
+
+
+def test_many_rivals_are_screened_by_how_well_their_changes_are_recognised():
+    data, actions, lengths, truth = visible_change()
+    shifted = [truth.view(12, 80).roll(shift, 1).flatten() for shift in range(5, 19)]
+    stages = []
+    found = judge(
+        data, task_of(actions, lengths), torch.stack([*shifted, truth]), lambda r: stages.append(r.stage)
+    )
+    assert stages.count("recognise") == 15
+    assert len(found) <= FINALISTS + LEADERS
+    assert torch.equal(found[0].labels, truth)
+    assert {tuple(rival.labels.tolist()) for rival in found} >= {tuple(own.tolist()) for own in shifted[:4]}
 
 
 def test_context_says_what_the_labels_are_worth_in_hindsight(judged):

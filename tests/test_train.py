@@ -61,7 +61,7 @@ def test_auto_tries_several_numbers_of_macro_actions(recorded, tmp_path, monkeyp
     else:
         [(macros, bound)] = marked
         assert policy.config.macros <= int(macros)  # unused ones are pruned
-        assert policy.config.max_transitions == int(bound)
+        assert policy.config.max_transitions <= int(bound)
 
 
 def test_a_run_folder_holds_what_lerobot_users_look_for(trained, recorded):
