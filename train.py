@@ -80,11 +80,15 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
 def dagger_report(iteration: "Iteration") -> str:
     """How a planner on the way did in validation worlds."""
     low, high = wilson_interval(iteration.successes, iteration.runs)
-    return (
+    line = (
         f"dagger {iteration.number}     {iteration.successes} of {iteration.runs} validation runs, "
-        f"{low:.0%} to {high:.0%}, from {iteration.trajectories} trajectories; the one before agreed with the "
-        f"teacher on {iteration.agreement:.1%} of the frames it came to"
+        f"{low:.0%} to {high:.0%}, from {iteration.trajectories} trajectories"
     )
+    if iteration.number:
+        line += (
+            f"; the planner before agreed with the teacher on {iteration.agreement:.1%} of what it came to"
+        )
+    return line
 
 
 def choice_report(choice: Choice) -> list[str]:

@@ -58,6 +58,7 @@ class Planner:
     paper: Mapping[str, int] = field(default_factory=dict)
 
 
+COMMON = ("--planner.reuse=5",)  # several times faster, as accurate (README, How fast)
 DAGGER = ("--dagger.iterations=5", "--dagger.seed={worlds}")
 PLANNERS = {
     TEACHER: Planner("teacher", (), swept=False, paper={"random": 72}),
@@ -127,6 +128,7 @@ class Cell:
         assert self.train_seed is not None, "the teacher is not trained"
         worlds = DAGGER_WORLDS + SEED_WORLDS * self.train_seed
         return [
+            *COMMON,
             *(option.format(worlds=worlds) for option in PLANNERS[self.planner].options),
             f"--dataset.episodes=[{','.join(map(str, range(self.demonstrations)))}]",
             f"--seed={self.train_seed}",

@@ -3,8 +3,12 @@
 <folder>/data/random_0/                               demonstrations; cells learn from the first of them
 <folder>/train/random_0_dpboost-2_20/                 a policy
 <folder>/eval/random_0_dpboost-2_20/10000-10049/      its runs in some worlds
+
+Where two trainings end in the same policy, bit for bit, as they do where macro-actions that do not pay are
+merged away, the runs of one are those of the other.
 """
 
+import hashlib
 import json
 import shutil
 from collections.abc import Iterator, Sequence
@@ -107,13 +111,23 @@ class Runs:
         """World -> outcome, of what was run already; and its stamps."""
         outcomes: dict[int, str] = {}
         stamps = []
-        for info in sorted(self._runs(cell).glob("*/eval_info.json")):
+        for info in sorted(info for runs in self._twins(cell) for info in runs.glob("*/eval_info.json")):
             stamp = read_stamp(info.parent)
             if stamp is not None:
                 section = json.loads(info.read_text())["dpmacro"]
                 outcomes |= zip(section["seeds"], section["outcomes"], strict=True)
                 stamps.append(stamp)
         return outcomes, stamps
+
+    def _twins(self, cell: Cell) -> list[Path]:
+        """Where runs of the cell's policy are, its own folder first."""
+        own = self._runs(cell)
+        if cell.train_seed is None:
+            return [own]
+        policy = fingerprint(self.folder / "train" / cell.name)
+        others = (path for path in sorted((self.folder / "train").iterdir()) if path.is_dir())
+        twins = [path.name for path in others if path.name != cell.name and fingerprint(path) == policy]
+        return [own, *(own.with_name(name) for name in twins)]
 
     def _runs(self, cell: Cell) -> Path:
         return self.folder / "eval" / cell.name
@@ -139,6 +153,19 @@ def chunks(seeds: Sequence[int]) -> Iterator[list[int]]:
         chunk.append(seed)
     if chunk:
         yield chunk
+
+
+DECIDING = ("macros", "first_macro", "switches", "thresholds", "image_shape", "features", "world")
+
+
+def fingerprint(training: Path) -> str | None:
+    """Of all that decides what a policy does in its world; None where the training has left none."""
+    policy = training / "checkpoints/last/pretrained_model"
+    if read_stamp(training) is None:
+        return None
+    config = json.loads((policy / "config.json").read_text())
+    told = json.dumps([config[name] for name in DECIDING]).encode()
+    return hashlib.sha256(told + (policy / "model.safetensors").read_bytes()).hexdigest()
 
 
 def work(plan: Sequence[Cell], needed: dict[str, int]) -> int:

@@ -7,6 +7,7 @@ and no part thousands of times.
 """
 
 import functools
+import json
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -34,8 +35,7 @@ class Visit:
         taught: whether the teacher drove.
         rewards: what step t earned.
         success: whether the run ended well.
-        driven: share of the frames before the teacher first took the wheel at which the planner did what the
-            teacher would have done.
+        agreed: whether the planner did, or would have done, what the teacher would do.
     """
 
     images: UInt8[np.ndarray, "frames height width 3"]
@@ -58,14 +58,13 @@ def gather(
         seeds: one a run.
         workers: processes, 1 or more.
     """
-    options = tuple(sorted(world.items()))
-    yield from spread(functools.partial(visit, replace(source, recovery=False), options), seeds, workers)
+    yield from spread(functools.partial(visit, replace(source, recovery=False), world), seeds, workers)
 
 
-def visit(source: PlannerSource, world: tuple[tuple[str, Any], ...], seed: int) -> Visit:
+def visit(source: PlannerSource, world: Mapping[str, Any], seed: int) -> Visit:
     """One run, in this process."""
     with one_thread():
-        return _visit(*_stage(source, world), seed)
+        return _visit(*_stage(source, json.dumps(world)), seed)
 
 
 def _visit(env: gym.Env, planner: Planner, teacher: Teacher, seed: int) -> Visit:
@@ -102,7 +101,9 @@ def _visit(env: gym.Env, planner: Planner, teacher: Teacher, seed: int) -> Visit
 
 
 @functools.cache
-def _stage(source: PlannerSource, world: tuple[tuple[str, Any], ...]) -> tuple[gym.Env, Planner, Teacher]:
-    """One world and planner a process, for one run after another."""
-    options = dict(world)
+def _stage(source: PlannerSource, world: str) -> tuple[gym.Env, Planner, Teacher]:
+    """One world, given as JSON, and planner a process, for one run after another."""
+    options = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in json.loads(world).items()
+    }
     return gym.make(options.pop("id"), **options), source.planner(), Teacher()

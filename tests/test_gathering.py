@@ -32,7 +32,7 @@ def stubborn(folder, action):
 @pytest.fixture(scope="module")
 def spun(tmp_path_factory):
     source = stubborn(tmp_path_factory.mktemp("left"), TURN_LEFT)
-    return visit(source, tuple(WORLD.items()), SHORT_SEED)
+    return visit(source, WORLD, SHORT_SEED)
 
 
 def test_the_planner_drives_until_it_turns_in_circles_then_the_teacher_until_a_reward(spun):
@@ -60,7 +60,7 @@ def test_frame_t_is_seen_before_step_t(spun):
 
 
 def test_a_run_ends_where_the_teacher_turns_in_circles_too(tmp_path):
-    lost = visit(stubborn(tmp_path, TURN_RIGHT), tuple(WORLD.items()), HIDDEN_SEED)
+    lost = visit(stubborn(tmp_path, TURN_RIGHT), WORLD, HIDDEN_SEED)
     assert not lost.success
     assert 1200 <= len(lost.actions) <= 1206
     assert (lost.phases == 0).all()

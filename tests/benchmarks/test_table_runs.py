@@ -32,6 +32,7 @@ class Scripts:
 
     def __init__(self):
         self.jobs = []
+        self.learned = lambda job: job.folder.name.encode()
 
     def __call__(self, job, commit, moved):
         self.jobs.append(job)
@@ -43,6 +44,13 @@ class Scripts:
             write(job.folder / "meta/info.json", {"total_episodes": int(given["episodes"])})
             world = {"flags": given["world.flags"], "render_size": size}
             write(job.folder / "meta/dpmacro.json", {"world": world})
+        if job.script == "train.py":
+            policy = job.folder / "checkpoints/last/pretrained_model"
+            write(
+                policy / "config.json",
+                dict.fromkeys(table_runs.DECIDING, 0) | {"max_transitions": len(job.options)},
+            )
+            (policy / "model.safetensors").write_bytes(self.learned(job))
         if job.script == "eval.py":
             seeds = list(range(int(given["seed"]), int(given["seed"]) + int(given["episodes"])))
             outcomes = ["success" if seed % 3 else "red_first" for seed in seeds]
@@ -168,3 +176,30 @@ def test_chunks_are_consecutive_and_end_at_multiples(seeds):
         assert chunk[0] // CHUNK == chunk[-1] // CHUNK
     for left, right in pairwise(found):
         assert right[0] != left[-1] + 1 or right[0] % CHUNK == 0
+
+
+def test_policies_that_are_the_same_bit_for_bit_share_their_runs(tmp_path, scripts):
+    two, four, baseline = (Cell("random", name, 5, 1, 60) for name in ("dpboost-2", "dpboost-4", "baseline"))
+    scripts.learned = lambda job: b"baseline" if "baseline" in job.folder.name else b"dpboost"
+    found = runs_of(tmp_path, two, four, baseline)
+    assert found[0][0] == found[1][0]
+    done = scripts.did()
+    assert done.count("eval.py 10000-10049") == 2
+    assert sum(job.startswith("train.py") for job in done) == 3
+    more = Cell("random", "dpboost-4", 5, 1, 100)
+    runs_of(tmp_path, more)
+    assert scripts.did() == ["eval.py 10060-10099"]
+    assert (tmp_path / "eval" / four.name).exists()
+
+
+def test_policies_that_decide_otherwise_do_not(tmp_path, scripts, monkeypatch):
+    two, four = (Cell("random", name, 5, 1, 30) for name in ("dpboost-2", "dpboost-4"))
+    scripts.learned = lambda job: b"same"
+    monkeypatch.setattr(table_runs, "DECIDING", ("max_transitions",))
+    runs_of(tmp_path, two)
+    scripts.did()
+    folder = tmp_path / "train" / two.name
+    config = folder / "checkpoints/last/pretrained_model/config.json"
+    write(config, {"max_transitions": -1})
+    runs_of(tmp_path, four)
+    assert [job for job in scripts.did() if job.startswith("eval.py")]
