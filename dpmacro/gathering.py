@@ -9,7 +9,7 @@ and no part thousands of times.
 import functools
 import json
 from collections.abc import Generator, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64, UInt8
 
 import dpmacro.worlds  # noqa: F401  registers the world
+from dpmacro.policy import MacroPlanner, MacroPolicy
 from dpmacro.processes import spread, stopped
-from dpmacro.rollouts import Past, Planner, PlannerSource, one_thread
+from dpmacro.rollouts import Past, PlannerSource, one_thread
 from dpmacro.worlds.teacher import Teacher
 
 __all__ = ["Visit", "gather", "visit"]
@@ -58,7 +59,7 @@ def gather(
         seeds: one a run.
         workers: processes, 1 or more.
     """
-    yield from spread(functools.partial(visit, replace(source, recovery=False), world), seeds, workers)
+    yield from spread(functools.partial(visit, source, world), seeds, workers)
 
 
 def visit(source: PlannerSource, world: Mapping[str, Any], seed: int) -> Visit:
@@ -67,7 +68,7 @@ def visit(source: PlannerSource, world: Mapping[str, Any], seed: int) -> Visit:
         return _visit(*_stage(source, json.dumps(world)), seed)
 
 
-def _visit(env: gym.Env, planner: Planner, teacher: Teacher, seed: int) -> Visit:
+def _visit(env: gym.Env, planner: MacroPlanner, teacher: Teacher, seed: int) -> Visit:
     observation, info = env.reset(seed=seed)
     planner.reset(env)
     teacher.reset(env)
@@ -76,6 +77,8 @@ def _visit(env: gym.Env, planner: Planner, teacher: Teacher, seed: int) -> Visit
     past.visit(info, planner)
     while not ended and not stopped():
         wanted, chosen = teacher.act(observation, info), planner.act(observation, info)
+        if teaching:
+            planner.took(wanted)
         images.append(observation["pixels"])
         phases.append(info["phase"])
         actions.append(wanted)
@@ -101,9 +104,10 @@ def _visit(env: gym.Env, planner: Planner, teacher: Teacher, seed: int) -> Visit
 
 
 @functools.cache
-def _stage(source: PlannerSource, world: str) -> tuple[gym.Env, Planner, Teacher]:
+def _stage(source: PlannerSource, world: str) -> tuple[gym.Env, MacroPlanner, Teacher]:
     """One world, given as JSON, and planner a process, for one run after another."""
     options = {
         name: tuple(value) if isinstance(value, list) else value for name, value in json.loads(world).items()
     }
-    return gym.make(options.pop("id"), **options), source.planner(), Teacher()
+    assert source.path is not None, "the teacher has nothing to learn from itself"
+    return gym.make(options.pop("id"), **options), MacroPolicy.load(source.path).planner(False), Teacher()

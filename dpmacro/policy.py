@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Hashable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ class PolicyConfig:
     features: str  # kind of feature set
     switches: tuple[tuple[int, int], ...] = ()  # (from, to) of every switch function
     thresholds: tuple[float, ...] = ()  # a switch function fires above its own
+    cues: tuple[tuple[int, ...], ...] = ()  # and right after one of these actions; none stands for any
     max_transitions: int | None = None  # S of the segmentation it was trained on; None for Q - 1
     switch_weight: float = 0.0  # of the switch functions' costs in that segmentation
     change_log_odds: tuple[tuple[float, ...], ...] = ()  # [from][to] in that segmentation; with a weight only
@@ -53,6 +54,8 @@ class PolicyConfig:
             "first_macro and switches": all(isinstance(q, int) and 0 <= q < self.macros for q in macros),
             "thresholds": len(self.thresholds) == len(self.switches)
             and all(map(math.isfinite, self.thresholds)),
+            "cues": len(self.cues) in (0, len(self.switches))
+            and all(0 <= action < len(self.action_names) for own in self.cues for action in own),
             "image_shape": len(self.image_shape) == 2
             and all(isinstance(size, int) for size in self.image_shape),
             "features": self.features in FEATURES,
@@ -71,6 +74,7 @@ class PolicyState:
     """Where every running environment of a batch stands."""
 
     macro: Int64[Tensor, " batch"]
+    action: Int64[Tensor, " batch"]  # done last, -1 before the first
     previous: UInt8[Tensor, "batch height width 3"] | None = None  # None before the first frame
     restarted: Bool[Tensor, " batch"] | None = None  # environments whose next frame is their first
 
@@ -120,13 +124,14 @@ class MacroPolicy:
     def initial_state(self, batch: int) -> PolicyState:
         """The state of `batch` environments before their first frame."""
         first = self.config.first_macro
-        return PolicyState(torch.full((batch,), first, dtype=torch.int64, device=self.device))
+        macro, action = (torch.full((batch,), value, device=self.device) for value in (first, -1))
+        return PolicyState(macro, action)
 
     def restart(self, state: PolicyState, which: Bool[Tensor, " batch"]) -> PolicyState:
         """The state where the environments of `which` begin anew while the others run on."""
         macro = torch.where(which, self.config.first_macro, state.macro)
         restarted = which if state.restarted is None else state.restarted | which
-        return PolicyState(macro, state.previous, restarted)
+        return PolicyState(macro, torch.where(which, -1, state.action), state.previous, restarted)
 
     @torch.inference_mode()
     def act(
@@ -146,17 +151,18 @@ class MacroPolicy:
             previous = torch.where(state.restarted[:, None, None, None], images, previous)
         levels = self.quantiser.levels(self.features.values(images, previous))
         frames = Frames(levels, images, previous)
-        macro = self._switch(frames, state.macro)
+        macro = self._switch(frames, state)
         scores = self.actor.scores(frames)
         actions = scores[torch.arange(len(macro), device=macro.device), macro].argmax(1)
-        return actions, PolicyState(macro, images)
+        return actions, PolicyState(macro, actions, images)
 
-    def _switch(self, frames: Frames, macro: Int64[Tensor, " batch"]) -> Tensor:
+    def _switch(self, frames: Frames, state: PolicyState) -> Int64[Tensor, " batch"]:
+        macro = state.macro
         if self.switcher is None:
             return macro
         sources, targets, thresholds = self._routes
         excess = self.switcher.scores(frames)[:, :, 0] - thresholds
-        excess = excess.masked_fill(sources != macro[:, None], -torch.inf)
+        excess = excess.masked_fill((sources != macro[:, None]) | ~self._cued[state.action], -torch.inf)
         highest = excess.max(1)
         return torch.where(highest.values > 0, targets[highest.indices], macro)
 
@@ -165,6 +171,16 @@ class MacroPolicy:
         """Where each switch function leads from and to, and its threshold."""
         sources, targets = torch.tensor(self.config.switches, device=self.device).unbind(1)
         return sources, targets, torch.tensor(self.config.thresholds, device=self.device)
+
+    @cached_property
+    def _cued(self) -> Bool[Tensor, "actions switches"]:
+        """Whether each switch function may fire after an action; the last row is for none so far."""
+        n_actions, n_switches = len(self.config.action_names), len(self.config.switches)
+        after = [[not self.config.cues] * n_switches for _ in range(n_actions + 1)]
+        for switch, cues in enumerate(self.config.cues):
+            for action in cues:
+                after[action][switch] = True
+        return torch.tensor(after, device=self.device)
 
     def planner(self, recovery: bool = True) -> "MacroPlanner":
         """A planner for one running environment; `recovery` is for those in trouble (dpmacro/recovery.py)."""
@@ -236,7 +252,7 @@ class MacroPlanner:
     @property
     def memory(self) -> Hashable:
         """All of its state but the frame before (see `rollouts.Planner`); None with recovery, which draws."""
-        return None if self._recovery is not None else (self.macro, self._state.previous is None)
+        return None if self._recovery is not None else (self.macro, int(self._state.action[0]))
 
     def reset(self, env: gym.Env) -> None:
         """Begin an episode."""
@@ -252,7 +268,13 @@ class MacroPlanner:
         if self._recovery is None:
             return action
         seen = images if before is None else torch.cat([images, before.cpu()])
-        return self._recovery.act(seen.numpy().tobytes(), self.macro, action)
+        action = self._recovery.act(seen.numpy().tobytes(), self.macro, action)
+        self.took(action)
+        return action
+
+    def took(self, action: int) -> None:
+        """Say what was done in place of the action that `act` gave."""
+        self._state = replace(self._state, action=torch.tensor([action], device=self.policy.device))
 
 
 def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:
@@ -280,6 +302,7 @@ def _read_config(path: Path) -> PolicyConfig:
                 "image_shape": tuple(values["image_shape"]),
                 "switches": tuple(tuple(pair) for pair in values["switches"]),
                 "thresholds": tuple(values["thresholds"]),
+                "cues": tuple(tuple(own) for own in values.get("cues", ())),
                 "change_log_odds": tuple(tuple(row) for row in values.get("change_log_odds", ())),
             }
         )

@@ -187,7 +187,8 @@ def _switches(
     """Quick switch functions of a rival, `columns` random columns searched a round."""
     generator = torch.Generator().manual_seed(task.seed)
     learner = StumpLearner(data, drawn=columns)
-    return fit_switches(learner, labels, task.lengths, generator, rounds=SWITCH_ROUNDS, groups=task.groups)
+    parts = learner, labels, task.lengths, generator
+    return fit_switches(*parts, rounds=SWITCH_ROUNDS, groups=task.groups, actions=task.actions)
 
 
 def _detected(switches: SwitchFunctions) -> float:

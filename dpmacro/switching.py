@@ -2,18 +2,19 @@
 
 For every observed change q -> q' a binary strong classifier H_q^q' (Section IV of the paper) separates the J
 frames from the change on (positives) from the frames of q (negatives), both sides weighing the same. Its
-threshold is calibrated on trajectories that its training left out.
+threshold is calibrated on trajectories that its training left out. A planner knows what it has just done: a
+switch function may fire only after an action that came before its change in some demonstration, its cues.
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from dpmacro.boosting import Boosting, Round, exponentials_of
+from dpmacro.boosting import MARGIN_LIMIT, Boosting, Round, exponentials_of
 from dpmacro.folds import folds_of
 from dpmacro.learners import StrongClassifier, WeakLearner
 from dpmacro.stopping import BestRound
@@ -22,6 +23,7 @@ __all__ = [
     "Event",
     "SwitchFunctions",
     "causal_labels",
+    "cued",
     "fit_switches",
     "macro_segments",
     "starting_macro",
@@ -39,8 +41,9 @@ class SwitchFunctions:
     ]  # share of left-out segments in which it fires at the change, never before
     held_out: Float[
         Tensor, "frames switches"
-    ]  # score of every frame by a function that never saw its trajectory
+    ]  # score of every frame by a function that never saw its trajectory, -18 where it may not fire
     classifier: StrongClassifier | None  # one binary problem per switch; None where nothing ever changes
+    cues: tuple[tuple[int, ...], ...] = ()  # actions that each may follow; none stands for any
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ def fit_switches(
     early_stopping: bool = False,
     groups: Int64[Tensor, " trajectories"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,
+    actions: Int64[Tensor, " frames"] | None = None,
 ) -> SwitchFunctions:
     """Fit a switch function for every change of macro-label that the trajectories show.
 
@@ -106,6 +110,7 @@ def fit_switches(
         groups: trajectories of the same group fall into the same part, like mirror images; alone by default.
         early_stopping: whether every switch function keeps the rounds with the least loss on left-out parts.
         on_round: called after every round with the balanced loss and accuracy over all of them.
+        actions: of every frame, for the cues; without them a switch function may fire after any action.
 
     All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
     be left out, and the calibration uses the training scores.
@@ -155,10 +160,25 @@ def fit_switches(
             held_out = scores
         if bool(boosting.ended.all()) or (early_stopping and exhausted):
             break
+    cues = () if actions is None else tuple(_cues(pair, events, actions) for pair in pairs)
     held_out = held_out.cpu()
+    if actions is not None:
+        held_out = held_out.masked_fill(~cued(actions, lengths, cues), -MARGIN_LIMIT)
     calibrated = [_calibrate(_peaks(pair, events, held_out[:, p])) for p, pair in enumerate(pairs)]
     thresholds, detected = torch.tensor(calibrated).unbind(1)
-    return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong(kept).select(last))
+    return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong(kept).select(last), cues)
+
+
+def cued(
+    actions: Int64[Tensor, " frames"],
+    lengths: Int64[Tensor, " trajectories"],
+    cues: Sequence[Sequence[int]],
+) -> Bool[Tensor, "frames switches"]:
+    """Whether each switch function may fire at a frame; none may at the first of a trajectory."""
+    actions = actions.cpu()
+    before = torch.nn.functional.pad(actions[:-1], (1, 0), value=-1)
+    before[(lengths.cumsum(0) - lengths).cpu()] = -1
+    return torch.stack([torch.isin(before, torch.tensor(own)) for own in cues], 1)
 
 
 def causal_labels(
@@ -207,6 +227,12 @@ def _examples(
     for side in (targets, ~targets):
         weights[side] /= (2 * weights[side].sum()).clamp(min=1)
     return weights, targets
+
+
+def _cues(pair: tuple[int, int], events: list[Event], actions: Int64[Tensor, " frames"]) -> tuple[int, ...]:
+    """The actions right before the changes of a pair."""
+    before = [event.stop - 1 for event in events if (event.macro, event.following) == pair]
+    return tuple(actions.cpu()[before].unique().tolist())
 
 
 def _peaks(

@@ -122,6 +122,7 @@ class Trainer:
                 early_stopping=planner.early_stopping,
                 groups=self._groups,
                 on_round=monitor.on_round,
+                actions=self.actions,
             )
             monitor.close()
             policy = self._policy(features, quantiser, discovery, switches)
@@ -232,6 +233,7 @@ class Trainer:
             features=self.options.planner.features,
             switches=tuple(switches.pairs),
             thresholds=tuple(switches.thresholds.tolist()),
+            cues=switches.cues,
             max_transitions=0 if discovery.search is None else discovery.search.kept_transitions,
             switch_weight=discovery.switch_weight,
             change_log_odds=tuple(

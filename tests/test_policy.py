@@ -1,5 +1,6 @@
 """A policy acts alike in any batch, switches only along observed changes, and survives its files."""
 
+import itertools
 import json
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from safetensors.torch import load_file, save_file
 from dpmacro.features import FEATURES, make_features, previous_images
 from dpmacro.learners import Frames
 from dpmacro.learners.stumps import StumpClassifier
-from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.policy import MacroPolicy, PolicyConfig, PolicyState
 from dpmacro.quantising import Quantiser
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
@@ -96,6 +97,35 @@ def test_the_highest_switch_above_its_threshold_wins():
         assert run(changed, images[:1])[1] == [macro]
 
 
+def test_a_switch_function_fires_only_right_after_its_cues():
+    policy, images = random_policy(switches=((0, 1), (1, 0)))
+    eager = replace(policy.config, thresholds=(-100.0, -100.0), cues=((2,), (0, 1)))
+    policy = replace(policy, config=eager)
+    for macro, action in itertools.product((0, 1), (-1, 0, 1, 2)):
+        state = PolicyState(torch.tensor([macro]), torch.tensor([action]), images[:1])
+        changes = action in ((2,), (0, 1))[macro]
+        assert int(policy.act(images[1:2], state)[1].macro) == (1 - macro if changes else macro)
+
+
+def test_what_was_done_instead_is_what_a_switch_function_follows():
+    policy, images = random_policy(switches=((0, 1),))
+    policy = replace(policy, config=replace(policy.config, thresholds=(-100.0,), cues=((2,),)))
+    for instead in range(3):
+        planner = policy.planner()
+        planner.act({"pixels": images[0].numpy()}, {})
+        planner.took(instead)
+        planner.act({"pixels": images[1].numpy()}, {})
+        assert planner.macro == int(instead == 2)
+
+
+def test_an_environment_that_begins_anew_has_done_nothing():
+    policy, images = random_policy(switches=((0, 1),))
+    policy = replace(policy, config=replace(policy.config, thresholds=(-100.0,), cues=((0, 1, 2),)))
+    _, state = policy.act(images[:2], policy.initial_state(2))
+    _, state = policy.act(images[2:4], policy.restart(state, torch.tensor([True, False])))
+    assert state.macro.tolist() == [0, 1]
+
+
 def test_without_switch_functions_the_first_macro_stays():
     policy, images = random_policy(switches=())
     assert set(run(policy, images)[1]) == {0}
@@ -135,7 +165,7 @@ def test_memory_and_two_frames_decide_what_follows():
         action = planner.act({"pixels": images[now].numpy()}, {})
         met += situation in followed
         assert followed.setdefault(situation, (action, planner.memory)) == (action, planner.memory)
-    assert met > 200 and len({memory for _, _, memory in followed}) == 4  # three macros, and no frame yet
+    assert met > 200 and len({memory for _, _, memory in followed}) == 8  # macro-action and action
 
 
 def test_an_image_of_another_size_is_refused():

@@ -2,11 +2,14 @@
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
+from dpmacro.boosting import MARGIN_LIMIT
 from dpmacro.learners import Frames
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
-from dpmacro.switching import causal_labels, fit_switches, macro_segments, starting_macro
+from dpmacro.switching import causal_labels, cued, fit_switches, macro_segments, starting_macro
 
 
 def trajectories(n=12, visible=True, seed=0):
@@ -33,6 +36,54 @@ def test_a_visible_change_is_recognised_when_it_comes():
     assert switches.detected.tolist() == [1.0]
     causal = causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, 0)
     assert torch.equal(causal, labels)
+
+
+def test_a_switch_function_may_fire_after_what_came_before_its_changes():
+    learner, labels, lengths = trajectories()
+    generator = torch.Generator().manual_seed(1)
+    actions = torch.randint(0, 3, labels.shape, generator=generator)
+    change = (labels.diff(prepend=labels[:1]) > 0).nonzero()[:, 0]
+    actions[change - 1] = torch.arange(len(change)) % 2 + 1  # 1 and 2, never 0
+    parts = learner, labels, lengths
+    free = fit_switches(*parts, torch.Generator().manual_seed(0), rounds=10)
+    bound = fit_switches(*parts, torch.Generator().manual_seed(0), rounds=10, actions=actions)
+    assert free.cues == ()
+    assert bound.cues == ((1, 2),)
+    starts = lengths.cumsum(0) - lengths
+    before = actions.roll(1)
+    before[starts] = 0
+    may_fire = before > 0
+    assert torch.equal(bound.held_out[may_fire], free.held_out[may_fire])
+    assert (bound.held_out[~may_fire] == -MARGIN_LIMIT).all()
+    assert bound.detected.tolist() == [1.0]
+
+
+def test_a_high_score_that_no_cue_precedes_does_not_move_the_threshold():
+    learner, labels, lengths = trajectories()
+    change = (labels.diff(prepend=labels[:1]) > 0).nonzero()[:, 0]
+    levels = learner.data.levels.clone()
+    levels[0, change - 6] = 200  # looks like the change
+    learner = StumpLearner(SortedLevels.build(levels))
+    actions = torch.zeros_like(labels)
+    actions[change - 1] = 1
+    free, bound = (
+        fit_switches(learner, labels, lengths, torch.Generator().manual_seed(0), actions=known)
+        for known in (None, actions)
+    )
+    assert float(free.detected) < float(bound.detected) == 1.0
+
+
+@given(st.lists(st.lists(st.integers(0, 3), min_size=1, max_size=6), min_size=1, max_size=5))
+def test_cues_do_not_reach_over_the_end_of_a_trajectory(parts):
+    lengths = torch.tensor([len(part) for part in parts])
+    actions = torch.tensor([action for part in parts for action in part])
+    found = cued(actions, lengths, ((0, 2), (1,))).tolist()
+    wanted = [
+        [place > 0 and part[place - 1] in own for own in ((0, 2), (1,))]
+        for part in parts
+        for place in range(len(part))
+    ]
+    assert found == wanted
 
 
 def test_an_invisible_change_is_not():
