@@ -7,7 +7,7 @@ from jaxtyping import Float, Float32, Int64
 from torch import Tensor
 
 from dpmacro.alternation import SwitchCosts
-from dpmacro.boosting import MARGIN_LIMIT, class_targets, exponentials_of
+from dpmacro.boosting import class_targets, exponentials_of
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.features import frames_before
 from dpmacro.joint import charges_of
@@ -15,7 +15,6 @@ from dpmacro.learners import Frames
 from dpmacro.marginals import margins
 from dpmacro.policy import MacroPolicy
 from dpmacro.segmentation import segment
-from dpmacro.switching import cued
 
 __all__ = ["Annotation", "annotate"]
 
@@ -93,9 +92,5 @@ def _costs(
         return torch.cat(costs), None
     log_odds = torch.tensor(policy.config.change_log_odds, device=policy.device)
     weight, pairs = policy.config.switch_weight, policy.config.switches
-    scores = torch.cat(switches)
-    if policy.config.cues:
-        may_fire = cued(actions, lengths, policy.config.cues).to(policy.device)
-        scores = scores.masked_fill(~may_fire, -MARGIN_LIMIT)
-    switching = charges_of(scores, pairs, log_odds, lengths, weight)
+    switching = charges_of(torch.cat(switches), pairs, log_odds, lengths, weight)
     return torch.cat(costs) + switching.staying, switching

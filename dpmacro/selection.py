@@ -184,11 +184,14 @@ def _finalists(
 def _switches(
     data: SortedLevels, task: Task, labels: Int64[Tensor, " frames"], columns: int
 ) -> SwitchFunctions:
-    """Quick switch functions of a rival, `columns` random columns searched a round."""
+    """Quick switch functions of a rival, `columns` random columns searched a round.
+
+    Without cues: where a change is missed, what the teacher does next gives a chance to notice, in place of
+    the chances that a waiting planner has; with cues a single miss would decide a whole trajectory.
+    """
     generator = torch.Generator().manual_seed(task.seed)
     learner = StumpLearner(data, drawn=columns)
-    parts = learner, labels, task.lengths, generator
-    return fit_switches(*parts, rounds=SWITCH_ROUNDS, groups=task.groups, actions=task.actions)
+    return fit_switches(learner, labels, task.lengths, generator, rounds=SWITCH_ROUNDS, groups=task.groups)
 
 
 def _detected(switches: SwitchFunctions) -> float:

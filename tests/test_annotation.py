@@ -56,7 +56,7 @@ def train(demonstrations, macros=2, bound=1, truth=None, **options):
         judged = judge(data, task, truth[None])
         search = Search(task, Alternated(truth[None], torch.zeros(1, 1)), tuple(judged), 0)
     found = DPBoost(macros, bound, **chosen).fit(data, actions, lengths, search=search)
-    switches = fit_switches(StumpLearner(data), found.labels, lengths, generator, rounds=20, actions=actions)
+    switches = fit_switches(StumpLearner(data), found.labels, lengths, generator, rounds=20)
     config = PolicyConfig(
         "dpboost",
         found.macros,
@@ -66,7 +66,6 @@ def train(demonstrations, macros=2, bound=1, truth=None, **options):
         "rectangles",
         tuple(switches.pairs),
         tuple(switches.thresholds.tolist()),
-        switches.cues,
         max_transitions=bound,
         switch_weight=found.switch_weight,
         change_log_odds=tuple(map(tuple, change_log_odds(found.labels, lengths, found.macros).tolist())),
