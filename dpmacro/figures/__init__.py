@@ -1,4 +1,4 @@
-"""Segmentations, training curves, success rates and what classifiers look at, as matplotlib figures."""
+"""Segmentations, training curves, success rates, runs and what classifiers look at, as matplotlib figures."""
 
 from dpmacro.figures.charts import (
     OUTCOME_COLOURS,
@@ -10,14 +10,18 @@ from dpmacro.figures.charts import (
 )
 from dpmacro.figures.graphs import edge_counts, transition_graph
 from dpmacro.figures.heatmaps import heat_maps
+from dpmacro.figures.stills import Still, Strip, film_strips
 from dpmacro.figures.style import macro_colour, save, to_image, to_png
 from dpmacro.figures.timelines import timeline, timelines
 
 __all__ = [
     "OUTCOME_COLOURS",
+    "Still",
+    "Strip",
     "curves",
     "edge_counts",
     "elbow",
+    "film_strips",
     "heat_maps",
     "learning_curve",
     "macro_colour",
