@@ -1,31 +1,28 @@
 """Recording: episodes into a LeRobot v3 dataset that LeRobot's own tools open."""
 
 import json
-import os
 import shutil
-import signal
-import sys
 import tempfile
-import threading
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Any
-from unittest.mock import patch
 
-import av
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
+from dpmacro import interrupts
 from dpmacro.decoding import DatasetError
-from dpmacro.lerobot_v3 import WORLD_FILE
+from dpmacro.folders import replace_folder
+from dpmacro.lerobot_v3 import WORLD_FILE, StoredDataset
+from dpmacro.lerobot_writing import create_dataset, embedding_at_once, quiet, resume_dataset
 
 AVATAR = "observation.images.avatar"
 VIEW = "observation.images.view"
 TASK = "reach the blue flag, then the red flag"
 PHASES = {"phase": ("before blue", "after blue")}
+_OF_LEROBOT = {"timestamp", "frame_index", "episode_index", "index", "task_index"}  # on every frame, unasked
 
 
 class DemonstrationWriter:
@@ -35,6 +32,8 @@ class DemonstrationWriter:
     interrupt removes what was written so far.
 
         with DemonstrationWriter.create(root, ("forward", "left", "right"), 30, world, view=False) as writer:
+            writer.add_episode(images, actions, truth, rewards, success)
+        with DemonstrationWriter.extend(root) as writer:
             writer.add_episode(images, actions, truth, rewards, success)
     """
 
@@ -55,6 +54,8 @@ class DemonstrationWriter:
         self.classes = {name: tuple(of_column) for name, of_column in classes.items()}
         self._folder = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".partial", dir=root.parent))
         self._dataset: Any = None
+        self._sizes: dict[str, tuple[int, ...]] = {}  # height, width, 3 of every camera's pictures
+        self._old: StoredDataset | None = None  # what is extended
 
     @classmethod
     def create(
@@ -86,6 +87,24 @@ class DemonstrationWriter:
         root.parent.mkdir(parents=True, exist_ok=True)
         return cls(root, action_names, fps, world, view, classes)
 
+    @classmethod
+    def extend(cls, root: str | Path) -> "DemonstrationWriter":
+        """A writer of more episodes for a dataset that was recorded before.
+
+        Actions, frames per second, world, columns of truth, sizes of pictures and whether there is a view are
+        those of the dataset. What is written is a copy of it, which takes its place once complete: until
+        then, and whatever happens, the folder `root` holds the old one.
+
+        Raises DatasetError where `root` is no dataset, not one that this writer recorded, or not whole.
+        """
+        old = _recorded(Path(root).resolve())
+        features = old.features
+        names = features["action"]["names"]
+        writer = cls(old.root, names, int(old.info["fps"]), old.world, VIEW in features, old.truth)
+        writer._sizes = {camera: tuple(features[camera]["shape"]) for camera in {AVATAR, VIEW} & {*features}}
+        writer._old = old
+        return writer
+
     def add_episode(
         self,
         images: UInt8[np.ndarray, "frames height width 3"],
@@ -100,8 +119,9 @@ class DemonstrationWriter:
 
         `truth` holds the labels of every column that `create` was told; `task` says in words what the episode
         is about. Every episode has pictures of the same size. Raises ValueError for an action outside
-        0..M-1, a true label outside 0..K-1, one frame only, and views given or missing against what
-        `create` was told.
+        0..M-1, a true label outside 0..K-1, one frame only, pictures of another size than the dataset's, and
+        views given or missing against what `create` was told; DatasetError where the dataset to extend is
+        no longer what it was.
         """
         if len(actions) < 2:
             raise ValueError(f"an episode of {len(actions)} frame; dpmacro needs at least two per episode")
@@ -118,12 +138,21 @@ class DemonstrationWriter:
             raise ValueError(
                 f"views given: {views is not None}, but the dataset was created with {self.view=}"
             )
+        for camera, pictures in {AVATAR: images, VIEW: views}.items():
+            if pictures is None:
+                continue
+            height, width, _ = self._sizes.setdefault(camera, pictures.shape[1:])
+            if pictures.shape[1:3] != (height, width):
+                raise ValueError(
+                    f"{camera} of {pictures.shape[1]}x{pictures.shape[2]}: dataset {self.root} has "
+                    f"{height}x{width}, give pictures of that size"
+                )
         if self._dataset is None:
-            with _interrupt_held_back():
-                self._dataset = self._open(images.shape[1:], None if views is None else views.shape[1:])
+            self._open()
         one_hot = np.eye(len(self.action_names), dtype=np.float32)
         last = len(actions) - 1
-        with _interrupt_held_back(), _quiet():
+        # Within, Hugging Face's `datasets` would now and then swallow an interrupt.
+        with interrupts.held_back(), quiet():
             for t, action in enumerate(actions):
                 frame = {
                     AVATAR: images[t],
@@ -138,24 +167,26 @@ class DemonstrationWriter:
                 if views is not None:
                     frame[VIEW] = views[t]
                 self._dataset.add_frame(frame)
-            with _embedding_at_once():
+            with embedding_at_once():
                 self._dataset.save_episode()
 
     def finalize(self) -> None:
         """Completes the dataset and gives it its name.
 
-        Raises ValueError where no episode was added, DatasetError where `root` has come into being meanwhile.
+        Raises ValueError where no episode was added, DatasetError where `root` has come into being meanwhile,
+        or the dataset to extend has changed.
         """
         if self._dataset is None:
             raise ValueError(f"dataset {self.root}: no episode was added, so there is nothing to write")
         self._dataset.finalize()
         self._dataset = None
-        recorded = {"world": self.world, "truth": self.classes}
-        (self._data / WORLD_FILE).write_text(json.dumps(recorded, indent=2) + "\n")
         shutil.rmtree(self._data / "images", ignore_errors=True)  # emptied by LeRobot, but left behind
-        _refuse_existing(self.root)
-        self._data.rename(self.root)
-        self._folder.rmdir()
+        self._refuse_surprises()
+        if self._old is None:
+            self._data.rename(self.root)
+        else:
+            replace_folder(self.root, self._data, self._folder / "old")
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def __enter__(self) -> "DemonstrationWriter":
         return self
@@ -182,104 +213,68 @@ class DemonstrationWriter:
             self._dataset = None
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _open(self, image_shape: tuple[int, ...], view_shape: tuple[int, ...] | None) -> Any:
-        # Here and not above: processes that only run the teacher need not wait seconds for this import.
-        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    def _open(self) -> None:
+        self._refuse_surprises()
+        if self._old is None:
+            with interrupts.held_back():
+                features = _features(self.action_names, self.classes, self._sizes)
+                self._dataset = create_dataset(self._data, self.fps, features)
+            recorded = {"world": self.world, "truth": self.classes}
+            (self._data / WORLD_FILE).write_text(json.dumps(recorded, indent=2) + "\n")
+        else:
+            shutil.copytree(self.root, self._data)
+            with interrupts.held_back():
+                self._dataset = resume_dataset(self._data, self.view, cache=self._folder / "cache")
 
-        pixels = ["height", "width", "channels"]
-        features: dict[str, dict[str, Any]] = {
-            AVATAR: {"dtype": "image", "shape": image_shape, "names": pixels},
-            "action": {
-                "dtype": "float32",
-                "shape": (len(self.action_names),),
-                "names": list(self.action_names),
-            },
-            "discrete_action": {"dtype": "int64", "shape": (1,), "names": None},
-            **{name: {"dtype": "int64", "shape": (1,), "names": None} for name in self.classes},
-            "next.reward": {"dtype": "float32", "shape": (1,), "names": None},
-            "next.done": {"dtype": "bool", "shape": (1,), "names": None},
-            "next.success": {"dtype": "bool", "shape": (1,), "names": None},
-        }
-        if view_shape is not None:
-            features[VIEW] = {"dtype": "video", "shape": view_shape, "names": pixels}
-        return LeRobotDataset.create(
-            repo_id=f"dpmacro/{self.root.name}",
-            root=self._data,
-            fps=self.fps,
-            features=features,
-            use_videos=self.view,
-            video_backend="pyav",
-            # Twice as fast as going through PNG files; 0 is a queue without a limit, since a full one
-            # drops frames.
-            streaming_encoding=self.view,
-            encoder_queue_maxsize=0,
+    def _refuse_surprises(self) -> None:
+        if self._old is None:
+            _refuse_existing(self.root)
+        elif StoredDataset.open(self.root).info != self._old.info:
+            raise DatasetError(f"dataset {self.root}: changed while it was being extended; extend it again")
+
+
+def _features(
+    action_names: Sequence[str], classes: Mapping[str, Sequence[str]], sizes: Mapping[str, Sequence[int]]
+) -> dict[str, dict[str, Any]]:
+    """What every frame has, in LeRobot's terms."""
+    number = {"shape": (1,), "names": None}
+    pictures = {AVATAR: "image", VIEW: "video"}
+    return {
+        **{
+            camera: {"dtype": pictures[camera], "shape": size, "names": ["height", "width", "channels"]}
+            for camera, size in sizes.items()
+        },
+        "action": {"dtype": "float32", "shape": (len(action_names),), "names": list(action_names)},
+        "discrete_action": {"dtype": "int64", **number},
+        **{name: {"dtype": "int64", **number} for name in classes},
+        "next.reward": {"dtype": "float32", **number},
+        "next.done": {"dtype": "bool", **number},
+        "next.success": {"dtype": "bool", **number},
+    }
+
+
+def _recorded(root: Path) -> StoredDataset:
+    """The dataset in a folder; DatasetError where it is not just as DemonstrationWriter leaves it."""
+    store = StoredDataset.open(root)
+    if not (root / WORLD_FILE).is_file():
+        raise DatasetError(
+            f"dataset {root}: has no {WORLD_FILE}, so dpmacro did not record it; extend one that "
+            "datasets/record.py recorded"
         )
+    expected = {AVATAR, *_features((), store.truth, {})}
+    differing = sorted((expected ^ store.features.keys()) - _OF_LEROBOT - {VIEW})
+    if differing:
+        raise DatasetError(
+            f"dataset {root}: lacks or adds {', '.join(differing)}, so it is not as it was recorded; extend "
+            "one that is"
+        )
+    for name in ("meta/tasks.parquet", "meta/stats.json"):
+        if not (root / name).is_file():
+            raise DatasetError(f"dataset {root}: {name} is missing; it is half-copied, copy it again")
+    store.columns(["index"], store.episodes)
+    return store
 
 
 def _refuse_existing(root: Path) -> None:
     if root.exists() or root.is_symlink():
         raise DatasetError(f"dataset {root}: exists already; remove it or give another --root")
-
-
-@contextmanager
-def _interrupt_held_back() -> Iterator[None]:
-    """Ctrl-C acts once the block is left: within, Hugging Face's `datasets` would now and then swallow it."""
-    handler = signal.getsignal(signal.SIGINT)
-    if not callable(handler) or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    caught: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: caught.append((number, frame)))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    if caught:
-        handler(*caught[0])
-
-
-@contextmanager
-def _embedding_at_once() -> Iterator[None]:
-    """Images enter an episode's table in one call; LeRobot makes one for each, half of its time."""
-    modules = [
-        module
-        for name in ("lerobot.datasets.lerobot_dataset", "lerobot.datasets.dataset_writer")
-        if hasattr(module := sys.modules.get(name), "embed_images")
-    ]
-    with ExitStack() as stack:
-        for module in modules:
-            stack.enter_context(patch.object(module, "embed_images", _embed_images))
-        yield
-
-
-def _embed_images(dataset: Any) -> Any:
-    import datasets
-    from datasets.table import InMemoryTable, embed_table_storage
-
-    table = embed_table_storage(dataset.with_format("arrow")[:])
-    embedded = datasets.Dataset(InMemoryTable(table), info=dataset.info, split=dataset.split)
-    return embedded.with_format(**dataset.format)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """No bar per episode from Hugging Face's `datasets`, no chatter of video encoders or about statistics."""
-    import datasets
-
-    bars_disabled = datasets.are_progress_bars_disabled()
-    encoder_log = os.environ.get("SVT_LOG")
-    datasets.disable_progress_bars()
-    os.environ["SVT_LOG"] = "1"  # errors only
-    av.logging.set_libav_level(av.logging.WARNING)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Converting input from bool", RuntimeWarning)
-            yield
-    finally:
-        av.logging.set_libav_level(av.logging.INFO)  # libav's own default; it cannot be asked
-        if encoder_log is None:
-            del os.environ["SVT_LOG"]
-        else:
-            os.environ["SVT_LOG"] = encoder_log
-        if not bars_disabled:
-            datasets.enable_progress_bars()

@@ -1,19 +1,20 @@
 import json
 import os
+import pkgutil
+import shutil
 import signal
 import subprocess
 import sys
-import warnings
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
+from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from noise import ACTIONS, LENGTHS, WORLD, random_episodes
 
 from dpmacro.demonstrations import DatasetError, Demonstrations
-from dpmacro.recording import AVATAR, VIEW, DemonstrationWriter, _embed_images
+from dpmacro.recording import AVATAR, VIEW, DemonstrationWriter
 
 
 def open_with_lerobot(root):
@@ -169,19 +170,193 @@ def test_one_action_is_refused(tmp_path):
         DemonstrationWriter.create(tmp_path / "d", ("go",), 30, WORLD, False)
 
 
-def test_writing_is_silent_and_leaves_no_state(tmp_path, capfd, monkeypatch):
-    import datasets
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
-    monkeypatch.delenv("SVT_LOG", raising=False)
-    assert not datasets.are_progress_bars_disabled()
-    views = np.zeros((12, 240, 320, 3), np.uint8)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("default", RuntimeWarning)
-        with DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, True) as writer:
-            writer.add_episode(**next(random_episodes()), views=views)
-    assert [str(warning.message) for warning in caught if warning.category is RuntimeWarning] == []
-    assert capfd.readouterr() == ("", "")
-    assert not datasets.are_progress_bars_disabled() and "SVT_LOG" not in os.environ
+
+def caches():
+    return contents(Path(os.environ["HF_HOME"]))
+
+
+@pytest.fixture
+def old(recorded, tmp_path):
+    """A dataset to extend, alone in its folder."""
+    return Path(shutil.copytree(recorded, tmp_path / "alone/d"))
+
+
+@pytest.mark.parametrize("view", [False, True])
+def test_extended_twice_is_as_recorded_in_one_go(tmp_path, view):
+    episodes = [
+        episode
+        | {"task": f"task {min(index, 2)}"}
+        | ({"views": np.full((len(episode["actions"]), 64, 96, 3), 60 * index, np.uint8)} if view else {})
+        for index, episode in enumerate(random_episodes())
+    ]
+    at_once, root = tmp_path / "at_once", tmp_path / "extended/d"
+    with DemonstrationWriter.create(at_once, ACTIONS, 30, WORLD, view) as writer:
+        for episode in episodes:
+            writer.add_episode(**episode)
+    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view) as writer:
+        writer.add_episode(**episodes[0])
+    before = caches()
+    for more in (episodes[1:2], episodes[2:]):
+        with DemonstrationWriter.extend(root) as writer:
+            for episode in more:
+                writer.add_episode(**episode)
+    assert caches() == before
+    assert list(root.parent.iterdir()) == [root]
+    assert {path.name for path in root.iterdir()} == {path.name for path in at_once.iterdir()}
+    assert (root / "meta/dpmacro.json").read_text() == (at_once / "meta/dpmacro.json").read_text()
+
+    ours, theirs = Demonstrations.load(root, camera=AVATAR), Demonstrations.load(at_once, camera=AVATAR)
+    for field in fields(Demonstrations):
+        if field.name != "root":
+            assert np.array_equal(getattr(ours, field.name), getattr(theirs, field.name)), field.name
+    stored, expected = open_with_lerobot(root), open_with_lerobot(at_once)
+    assert stored.num_episodes == len(LENGTHS) and len(stored) == sum(LENGTHS)
+    assert stored.meta.tasks["task_index"].to_dict() == {"task 0": 0, "task 1": 1, "task 2": 2}
+    assert stored.meta.total_tasks == 3
+    for index in range(sum(LENGTHS)):
+        item = expected[index]
+        assert stored[index].keys() == item.keys()
+        for name, value in stored[index].items():
+            if name == VIEW:  # a video's pictures depend a little on those before
+                assert float((value - item[name]).abs().max()) < 0.05
+            else:
+                assert np.array_equal(value, item[name]), (index, name)
+    for name, statistics in stored.meta.stats.items():
+        assert statistics.keys() == expected.meta.stats[name].keys()
+        for what, value in statistics.items():
+            error = 0.05 if name == VIEW else 1e-6
+            assert np.allclose(value, expected.meta.stats[name][what], error, error), (name, what)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_an_interrupted_extension_leaves_the_old(old, error):
+    before = contents(old)
+    with pytest.raises(error), DemonstrationWriter.extend(old) as writer:
+        writer.add_episode(**next(random_episodes()))
+        raise error
+    assert contents(old.parent) == {Path("d") / name: content for name, content in before.items()}
+
+
+@pytest.mark.parametrize(
+    ("place", "call"),
+    [
+        ("shutil.copyfile", 3),
+        ("shutil.rmtree", 1),
+        ("os.fsync", 2),
+        ("pathlib.Path.rename", 1),
+        ("json.dump", 1),
+    ],
+)
+def test_an_interrupt_anywhere_leaves_the_old_or_the_new(old, monkeypatch, place, call):
+    before, calls = contents(old), []
+    function = pkgutil.resolve_name(place)
+
+    def interrupted(*args, **options):
+        calls.append(args)
+        if len(calls) == call:
+            os.kill(os.getpid(), signal.SIGINT)
+        return function(*args, **options)
+
+    monkeypatch.setattr(place, interrupted)
+    with pytest.raises(KeyboardInterrupt), DemonstrationWriter.extend(old) as writer:
+        writer.add_episode(**next(random_episodes()))
+    assert list(old.parent.iterdir()) == [old]
+    if place == "pathlib.Path.rename":
+        assert Demonstrations.load(old).lengths.tolist() == [*LENGTHS, LENGTHS[0]]
+    else:
+        assert contents(old) == before
+
+
+def test_an_extension_without_episodes_leaves_the_old(old):
+    before = contents(old)
+    with pytest.raises(ValueError, match="no episode was added"), DemonstrationWriter.extend(old):
+        pass
+    assert contents(old) == before and list(old.parent.iterdir()) == [old]
+
+
+@pytest.mark.parametrize("others_come", ["first", "last"])
+def test_what_others_added_meanwhile_is_not_lost(old, others_come):
+    ours, theirs = random_episodes((4, 5))
+    with pytest.raises(DatasetError, match="changed while"), DemonstrationWriter.extend(old) as writer:
+        if others_come == "last":
+            writer.add_episode(**ours)
+        with DemonstrationWriter.extend(old) as other:
+            other.add_episode(**theirs)
+        writer.add_episode(**ours)
+    assert Demonstrations.load(old).lengths.tolist() == [*LENGTHS, 5]
+    assert list(old.parent.iterdir()) == [old]
+
+
+def test_a_link_goes_on_pointing_at_the_dataset(old, tmp_path):
+    link = tmp_path / "link"
+    link.symlink_to(old)
+    with DemonstrationWriter.extend(link) as writer:
+        writer.add_episode(**next(random_episodes()))
+    assert link.is_symlink() and len(Demonstrations.load(old).lengths) == len(LENGTHS) + 1
+
+
+def test_an_extension_knows_what_the_dataset_is(tmp_path):
+    root = tmp_path / "d"
+    classes = {"subgoal": ("a", "b"), "purpose": ("c", "d", "e")}
+    episode = next(random_episodes((4,), shape=(24, 32, 3)))
+    episode["truth"] = {"subgoal": np.arange(4) % 2, "purpose": np.full(4, 2)}
+    with DemonstrationWriter.create(root, ACTIONS, 10, WORLD, view=False, classes=classes) as writer:
+        writer.add_episode(**episode)
+    with DemonstrationWriter.extend(root) as writer:
+        assert (writer.action_names, writer.fps, writer.world, writer.view, writer.classes) == (
+            ACTIONS,
+            10,
+            WORLD,
+            False,
+            classes,
+        )
+        writer.add_episode(**episode)
+        for changes, message in (
+            ({"images": np.zeros((4, 48, 64, 3), np.uint8)}, "avatar of 48x64: dataset .*d has 24x32, give"),
+            ({"views": np.zeros((4, 48, 64, 3), np.uint8)}, "views given: True"),
+            ({"actions": np.full(4, 3)}, "actions from 3 to 3"),
+            ({"truth": episode["truth"] | {"purpose": np.full(4, 3)}}, "purpose from 3 to 3"),
+        ):
+            with pytest.raises(ValueError, match=message) as raised:
+                writer.add_episode(**episode | changes)
+            assert "\n" not in str(raised.value)
+    assert Demonstrations.load(root, truth="purpose").lengths.tolist() == [4, 4]
+
+
+def forget(root, name):
+    (root / name).unlink()
+
+
+def add_column(root):
+    info = json.loads((root / "meta/info.json").read_text())
+    info["features"]["macro_action"] = info["features"]["phase"]
+    (root / "meta/info.json").write_text(json.dumps(info))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (shutil.rmtree, "no such folder; record one with datasets/record.py"),
+        (lambda root: shutil.rmtree(root / "meta"), "is this a LeRobot dataset"),
+        (
+            lambda root: forget(root, "meta/dpmacro.json"),
+            "has no meta/dpmacro.json, so dpmacro did not record",
+        ),
+        (add_column, "lacks or adds macro_action"),
+        (lambda root: forget(root, "meta/tasks.parquet"), "meta/tasks.parquet is missing"),
+        (lambda root: forget(root, "meta/stats.json"), "meta/stats.json is missing"),
+        (lambda root: forget(root, "data/chunk-000/file-000.parquet"), "is missing; the dataset is half-"),
+    ],
+)
+def test_what_was_not_recorded_cannot_be_extended(old, damage, message):
+    damage(old)
+    with pytest.raises(DatasetError, match=message) as raised:
+        DemonstrationWriter.extend(old)
+    assert "\n" not in str(raised.value)
+    assert [path for path in old.parent.iterdir() if path != old] == []
 
 
 EDITS = """
@@ -236,33 +411,3 @@ def test_lerobots_editing_tools_work_on_it(recorded, tmp_path):
         assert loaded.select(reverse).lengths.tolist() == [LENGTHS[order[index]] for index in reverse]
         part = Demonstrations.load(home / "local" / name, episodes=[1])
         assert np.array_equal(part.images, episodes[order[1]])
-
-
-def test_embedding_at_once_writes_what_lerobot_writes(recorded, tmp_path, monkeypatch):
-    monkeypatch.setattr("dpmacro.recording._embedding_at_once", nullcontext)
-    root = tmp_path / "one_by_one"
-    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False) as writer:
-        for episode in random_episodes():
-            writer.add_episode(**episode)
-    ours, theirs = (pq.ParquetFile(folder / "data/chunk-000/file-000.parquet") for folder in (recorded, root))
-    assert ours.read().equals(theirs.read())
-    assert ours.schema_arrow.equals(theirs.schema_arrow)
-    assert ours.metadata.num_row_groups == theirs.metadata.num_row_groups
-
-
-@pytest.mark.parametrize("view", [False, True])
-def test_lerobot_embeds_by_the_function_that_is_replaced(recorded, tmp_path, monkeypatch, view):
-    """Where a new LeRobot has it elsewhere, recording is slower, and this says so."""
-    calls = []
-
-    def noted(dataset):
-        calls.append(len(dataset))
-        return _embed_images(dataset)
-
-    monkeypatch.setattr("dpmacro.recording._embed_images", noted)
-    episodes = list(random_episodes((4, 3)))
-    with DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view=view) as writer:
-        for episode in episodes:
-            views = np.zeros((len(episode["actions"]), 64, 96, 3), np.uint8) if view else None
-            writer.add_episode(**episode, views=views)
-    assert calls == [4, 3]
