@@ -3,7 +3,7 @@
 For every observed change q -> q' a binary strong classifier H_q^q' (Section IV of the paper) separates the J
 frames from the change on (positives) from the frames of q (negatives), both sides weighing the same. Its
 threshold is calibrated on trajectories that its training left out. A planner knows what it has just done: a
-switch function may fire only after an action that came before its change in some demonstration, its cues.
+switch function may fire only after an action that comes before its changes in demonstrations, its cues.
 """
 
 import itertools
@@ -28,6 +28,9 @@ __all__ = [
     "macro_segments",
     "starting_macro",
 ]
+
+
+COVERED = 0.75  # of the changes, by their cues
 
 
 @dataclass(frozen=True)
@@ -230,9 +233,15 @@ def _examples(
 
 
 def _cues(pair: tuple[int, int], events: list[Event], actions: Int64[Tensor, " frames"]) -> tuple[int, ...]:
-    """The actions right before the changes of a pair."""
+    """The actions that come right before most changes of a pair, the fewest that cover `COVERED` of them.
+
+    Not all: a segmentation that is a frame or two late has the action after the change there.
+    """
     before = [event.stop - 1 for event in events if (event.macro, event.following) == pair]
-    return tuple(actions.cpu()[before].unique().tolist())
+    counts = actions.cpu()[before].bincount()
+    order = counts.argsort(descending=True, stable=True)
+    enough = int((counts[order].cumsum(0) < COVERED * len(before)).sum()) + 1
+    return tuple(sorted(order[:enough].tolist()))
 
 
 def _peaks(

@@ -52,10 +52,24 @@ def test_a_switch_function_may_fire_after_what_came_before_its_changes():
     starts = lengths.cumsum(0) - lengths
     before = actions.roll(1)
     before[starts] = 0
-    may_fire = before > 0
+    may_fire = before > 0  # 1 and 2 come before six changes each
     assert torch.equal(bound.held_out[may_fire], free.held_out[may_fire])
     assert (bound.held_out[~may_fire] == -MARGIN_LIMIT).all()
     assert bound.detected.tolist() == [1.0]
+
+
+def test_what_came_before_few_changes_is_no_cue():
+    learner, labels, lengths = trajectories()
+    change = (labels.diff(prepend=labels[:1]) > 0).nonzero()[:, 0]
+    actions = torch.zeros_like(labels)
+    for before, cues in (
+        ([1] * 9 + [2] * 3, (1,)),
+        ([1] * 8 + [2] * 4, (1, 2)),
+        ([0, 1, 2, 3] * 3, (0, 1, 2)),
+    ):
+        actions[change - 1] = torch.tensor(before)
+        generator = torch.Generator().manual_seed(0)
+        assert fit_switches(learner, labels, lengths, generator, rounds=1, actions=actions).cues == (cues,)
 
 
 def test_a_high_score_that_no_cue_precedes_does_not_move_the_threshold():
