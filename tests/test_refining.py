@@ -1,7 +1,7 @@
 """Rivals made of rivals: cut again, and with fewer macro-actions."""
 
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from visible import task_of, visible_change
 
@@ -13,6 +13,7 @@ def best(judged):
     return judged[best_verdict([rival.verdict for rival in judged])]
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 4), min_size=1, max_size=30))
 def test_merging_makes_two_macro_actions_one_and_keeps_the_others_apart(labels):
     labels = torch.tensor(labels)

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpmacro.boosting import MARGIN_LIMIT
@@ -87,6 +87,7 @@ def test_a_high_score_that_no_cue_precedes_does_not_move_the_threshold():
     assert float(free.detected) < float(bound.detected) == 1.0
 
 
+@settings(deadline=None)
 @given(st.lists(st.lists(st.integers(0, 3), min_size=1, max_size=6), min_size=1, max_size=5))
 def test_cues_do_not_reach_over_the_end_of_a_trajectory(parts):
     lengths = torch.tensor([len(part) for part in parts])
