@@ -128,7 +128,7 @@ def picture_of(runs: Sequence[Run], lost: Sequence[tuple[Any, ...]]) -> Figure:
     with tqdm(desc="Running again", total=sum(run.steps for run in chosen.values()), unit="step") as bar:
         for cause, run in chosen.items():
             note = f"{len(groups[cause])} of {failures} failures\nseed {run.seed}"
-            note += f"\nends at step {run.steps}"
+            note += f"\nafter {run.steps} steps:\n{run.outcome.replace('_', ' ')}"
             strips.append(figures.Strip(cause.replace("_", " "), note, stills(run, bar)))
     return figures.film_strips(strips)
 

@@ -18,7 +18,7 @@ NAMES = ("changed early", "change missed", "red in the way", "out of time", "pre
 
 
 def page(title=""):
-    note = "200 of 1200 failures\nseed 10199\nends at step 3000"
+    note = "200 of 1200 failures\nseed 10199\nafter 3000 steps:\nblue never reached"
     return film_strips([Strip(name, note, [still(column) for column in range(5)]) for name in NAMES], title)
 
 
