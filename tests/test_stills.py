@@ -27,7 +27,7 @@ def page(title=""):
     [
         page,
         lambda: page("Why runs fail"),
-        lambda: film_strips([Strip("spins", "", [still()])]),
+        lambda: film_strips([Strip("walked into the other flag", "seed 1", [still()])]),
         lambda: film_strips([Strip("dithers", "seed 1", []), Strip("spins", "seed 2", [still(), still()])]),
     ],
 )

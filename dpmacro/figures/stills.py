@@ -15,7 +15,7 @@ BETWEEN = 0.1  # pictures
 LEFT = 1.35  # room for a row's name
 ABOVE, BELOW = 0.24, 0.3  # a row, for captions
 TITLE = 0.4
-LETTERS = 11  # in a line of a row's name
+LETTERS = 14  # in a line of a row's name
 SMALL = 8
 
 
