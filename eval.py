@@ -144,7 +144,12 @@ def count_successes(options: EvalOptions) -> None:
     print(report(summary, seconds, causes, sum(episode.loop > 0 for episode in episodes)))
     videos = write_videos(source, world, episodes, options.videos, output_dir / "videos" / f"{WORLD}_0")
     info = eval_info(episodes, summary, causes, seconds, videos)
-    info["dpmacro"].update(planner=name, policy_path=source.path and str(source.path), world=world)
+    info["dpmacro"] |= {
+        "planner": name,
+        "policy_path": source.path and str(source.path),
+        "recovery": source.recovery,
+        "world": world,
+    }
     write_scalars(info["overall"], output_dir / "tensorboard")
     with replacing(output_dir / "eval_info.json") as path:
         path.write_text(json.dumps(info, indent=2) + "\n")

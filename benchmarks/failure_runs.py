@@ -28,10 +28,10 @@ DECIDING = ("flags", "layout_seed", "yaw_noise", "max_steps")  # of a world, bes
 
 @dataclass(frozen=True)
 class Run:
-    """A run as its `eval_info.json` has it; `policy` is None for the teacher."""
+    """A run as its `eval_info.json` has it; `source.path` is None for the teacher."""
 
     info: Path
-    policy: Path | None
+    source: PlannerSource
     world: Mapping[str, Any]
     seed: int
     outcome: str
@@ -61,9 +61,11 @@ def read_runs(folders: str) -> list[Run]:
             found += _read(info)
     if not found:
         raise ValueError("no folders: give at least one that eval.py wrote")
-    (key, times), *_ = Counter((run.policy, run.where) for run in found).most_common(1)
+    (key, times), *_ = Counter((run.source, run.where) for run in found).most_common(1)
     if times > 1:
-        raise ValueError(f"{times} runs of {key[0] or 'the teacher'} with seed {key[1][0]}: give each once")
+        raise ValueError(
+            f"{times} runs of {key[0].path or 'the teacher'} with seed {key[1][0]}: give each once"
+        )
     return found
 
 
@@ -107,9 +109,8 @@ def stills(run: Run, bar: tqdm) -> list[figures.Still]:
     """
     wanted = key_steps(run)
     every = min(range(OLD, SPARSE + 1), key=lambda k: (max(step % k for step in wanted), -k))
-    source = PlannerSource("teacher") if run.policy is None else PlannerSource("policy", run.policy)
     found = []
-    with closing(replay(source, run.world, run.seed, every)) as moments:
+    with closing(replay(run.source, run.world, run.seed, every)) as moments:
         view = np.empty(0)
         for step, moment in enumerate(moments):
             bar.update()
@@ -129,14 +130,15 @@ def stills(run: Run, bar: tqdm) -> list[figures.Still]:
 def _read(info: Path) -> Iterator[Run]:
     try:
         section = json.loads(info.read_text())["dpmacro"]
-        policy = section["policy_path"]
+        path, recovery = section["policy_path"], section["recovery"]
+        source = PlannerSource("policy", Path(path), recovery) if path else PlannerSource("teacher")
         # JSON knows no tuples, which the world's options hold.
         world = {name: tuple(v) if isinstance(v, list) else v for name, v in section["world"].items()}
         rows = list(zip(*(section[name] for name in PER_RUN), strict=True))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{info} is not what eval.py writes now ({error}): run that again") from error
     for row in rows:
-        run = Run(info, policy and Path(policy), world, *row)
+        run = Run(info, source, world, *row)
         if (run.outcome == SUCCESS) != (run.cause == "") or run.cause not in ("", *CAUSES):
             raise ValueError(f"{info}: seed {run.seed} has outcome {run.outcome} and cause {run.cause!r}")
         yield run

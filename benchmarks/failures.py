@@ -18,6 +18,7 @@ from typing import Any
 
 from failure_runs import Run, by_cause, example, read_runs, stills
 from matplotlib.figure import Figure
+from report import inserted
 from tqdm import tqdm
 
 from dpmacro import cli, figures
@@ -77,8 +78,8 @@ def main(options: FailureOptions) -> None:
 def lost_worlds(teacher: Sequence[Run], runs: Sequence[Run]) -> list[tuple[Any, ...]]:
     """The worlds of `runs` that the teacher fails in; raises ValueError where it lacks one of them."""
     for run in teacher:
-        if run.policy is not None:
-            raise ValueError(f"{run.info} has runs of {run.policy}: --teacher needs the teacher's")
+        if run.source.path is not None:
+            raise ValueError(f"{run.info} has runs of {run.source.path}: --teacher needs the teacher's")
     failed = {run.where: bool(run.cause) for run in teacher}
     for run in runs:
         if run.where not in failed:
@@ -141,21 +142,7 @@ def with_results(report: Path, lines: Sequence[str], picture: Path | None) -> st
         shown = ["", f"![A failed run of each cause]({link})", "", EXPLAINED]
     command = f"    {shlex.join(['python', *sys.orig_argv[1:]])}"
     before = report.read_text() if report.exists() else ""
-    return inserted(before, "\n".join([*lines, *shown, "", command]))
-
-
-def inserted(before: str, found: str) -> str:
-    """The text with what is between its marks replaced; with marks at its end where it has none.
-
-    Raises ValueError where it has one mark without the other, or in the wrong order.
-    """
-    head, start, rest = before.partition(MARKS[0])
-    _, end, tail = rest.partition(MARKS[1])
-    if bool(start) != (MARKS[1] in before) or bool(start) != bool(end):
-        raise ValueError(f"the report needs {' and later '.join(MARKS)}, or neither: correct the marks")
-    if not start:
-        head, tail = before and before.rstrip("\n") + "\n\n", "\n"
-    return f"{head}{MARKS[0]}\n{found}\n{MARKS[1]}{tail}"
+    return inserted(before, "\n".join([*lines, *shown, "", command]), MARKS)
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""Rows of the benchmark table, the header above them, and the JSON file."""
+"""Rows of the benchmark table, the header above them, the JSON file, and texts with results between marks."""
 
 import importlib.metadata
 import json
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from dpmacro.files import replacing
 
-__all__ = ["Row", "header", "table", "write"]
+__all__ = ["Row", "header", "inserted", "table", "write"]
 
 PACKAGES = ("torch", "numpy", "lightgbm", "xgboost", "scikit-learn", "numba", "hmmlearn", "pybullet")
 ROOT = Path(__file__).parents[1]
@@ -87,6 +87,29 @@ def header(command: str) -> list[str]:
     ]
 
 
+def inserted(text: str, found: str, marks: tuple[str, str]) -> str:
+    """The text with what is between its marks replaced; with marks and results at its end where it has none.
+
+    Raises ValueError where it has one mark without the other, or in the wrong order.
+    """
+    before, start, rest = text.partition(marks[0])
+    _, end, after = rest.partition(marks[1])
+    if bool(start) != (marks[1] in text) or bool(start) != bool(end):
+        raise ValueError(f"the report needs {' and later '.join(marks)}, or neither: correct the marks")
+    if not start:
+        before, after = text and text.rstrip("\n") + "\n\n", "\n"
+    return f"{before}{marks[0]}\n{found}\n{marks[1]}{after}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+
+
+def _accuracy(training: float | None, held_out: float | None) -> str:
+    parts = ["-" if share is None else f"{share:.3f}" for share in (training, held_out)]
+    return "" if parts == ["-", "-"] else " / ".join(parts)
+
+
 def _commit() -> str:
     try:
         commit = _git("rev-parse", "--short", "HEAD")
@@ -118,12 +141,3 @@ def _versions() -> str:
         except importlib.metadata.PackageNotFoundError:
             versions.append(f"{package} not installed")
     return ", ".join(versions)
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
-
-
-def _accuracy(training: float | None, held_out: float | None) -> str:
-    parts = ["-" if share is None else f"{share:.3f}" for share in (training, held_out)]
-    return "" if parts == ["-", "-"] else " / ".join(parts)

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from report import inserted
 from table_cells import DEFAULT_SIZE, FLAGS, PAPER_SIZE, PLANNERS, SWEEP, TEACHER
 from table_rows import Row, count, curve_points, groups, paired, pooled
 
@@ -12,7 +13,7 @@ from dpmacro.files import replacing
 from dpmacro.outcomes import Paired, wilson_interval
 from dpmacro.rollouts import OUTCOMES, SUCCESS
 
-__all__ = ["MARKS", "inserted", "main_table", "report", "write_report"]
+__all__ = ["MARKS", "main_table", "report", "write_report"]
 
 MARKS = ("<!-- table -->", "<!-- /table -->")
 PICTURE = "learning_curve.png"
@@ -41,7 +42,7 @@ def write_report(found: Row, demonstrations: int, seed: int, path: Path) -> None
 
     Raises ValueError where the file has one mark without the other.
     """
-    text = inserted(path.read_text() if path.exists() else "", report(found, demonstrations, seed))
+    text = inserted(path.read_text() if path.exists() else "", report(found, demonstrations, seed), MARKS)
     points = curve_points(found["rows"], seed)
     if points:
         teacher = groups(found["rows"], "random", demonstrations).get(TEACHER, [])
@@ -51,17 +52,6 @@ def write_report(found: Row, demonstrations: int, seed: int, path: Path) -> None
         figures.save(figures.learning_curve(lines, levels, title), path.parent / PICTURE)
     with replacing(path) as temporary:
         temporary.write_text(text)
-
-
-def inserted(text: str, table: str) -> str:
-    """The text with what is between its marks replaced; with marks and table at its end where it has none."""
-    before, start, rest = text.partition(MARKS[0])
-    _, end, after = rest.partition(MARKS[1])
-    if bool(start) != (MARKS[1] in text) or bool(start) != bool(end):
-        raise ValueError(f"the report needs {' and later '.join(MARKS)}, or neither: correct the marks")
-    if not start:
-        before, after = text and text.rstrip("\n") + "\n\n", "\n"
-    return f"{before}{MARKS[0]}\n{table}\n{MARKS[1]}{after}"
 
 
 def report(found: Row, demonstrations: int, seed: int) -> str:

@@ -5,17 +5,10 @@ python datasets/record.py --root=datasets/two_flags_random --episodes=20 --seed=
 
 import functools
 import itertools
-import multiprocessing
-import os
-import signal
-import threading
 import time
-from collections import deque
 from collections.abc import Generator
-from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
-from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +19,7 @@ from tqdm import tqdm
 
 import dpmacro.worlds  # noqa: F401  registers the world
 from dpmacro import cli
+from dpmacro.processes import spread, stopped
 from dpmacro.recording import DemonstrationWriter
 from dpmacro.worlds.teacher import Teacher
 from dpmacro.worlds.two_flags import ACTIONS, TwoFlagsConfig, TwoFlagsEnv
@@ -100,18 +94,7 @@ def main(cfg: RecordConfig) -> None:
 
 def teacher_runs(world: dict[str, Any], view: bool, seed: int, workers: int) -> Generator[Run | None]:
     """The teacher's runs with seed, seed + 1, ... without end; None for each that failed."""
-    context = multiprocessing.get_context("spawn")
-    stop = context.Event()
-    pool = ProcessPoolExecutor(workers, context, _start_worker, (stop,))
-    pending: deque[Future[Run | None]] = deque()
-    try:
-        for next_seed in itertools.count(seed):
-            pending.append(pool.submit(run_teacher, tuple(world.items()), view, next_seed))
-            if len(pending) > 2 * workers:
-                yield pending.popleft().result()
-    finally:
-        stop.set()
-        pool.shutdown(cancel_futures=True)
+    return spread(functools.partial(run_teacher, tuple(world.items()), view), itertools.count(seed), workers)
 
 
 def run_teacher(world: tuple[tuple[str, Any], ...], view: bool, seed: int) -> Run | None:
@@ -122,7 +105,7 @@ def run_teacher(world: tuple[tuple[str, Any], ...], view: bool, seed: int) -> Ru
     images, actions, phases, rewards, views = [], [], [], [], []
     ended = False
     while not ended:
-        if _stop is not None and _stop.is_set():
+        if stopped():
             return None
         images.append(observation["pixels"])
         phases.append(info["phase"])
@@ -149,24 +132,6 @@ def _stage(world: tuple[tuple[str, Any], ...], view: bool) -> tuple[gym.Env, Tea
     options = dict(world)
     env = gym.make(options.pop("id"), render_mode="rgb_array" if view else None, **options)
     return env, Teacher()
-
-
-_stop: Event | None = None  # in a worker: set when nobody waits for its run any more
-
-
-def _start_worker(stop: Event) -> None:
-    """A worker leaves the terminal's Ctrl-C to its parent, and dies with it."""
-    global _stop
-    _stop = stop
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def end() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=end, daemon=True).start()
 
 
 if __name__ == "__main__":

@@ -46,6 +46,7 @@ class Boosting:
         n_problems: how many strong classifiers grow side by side.
         shrinkage: factor in (0, 1] on every weak hypothesis.
         generator: the randomness of the learner.
+        start: scores to begin with, which `strong` knows nothing of; zeros by default.
 
     With base weights held still the loss never rises: a weak hypothesis that does not lower it is no better
     than chance and is left out. A problem to which that happens `TRIES` times in a row has ended.
@@ -58,6 +59,7 @@ class Boosting:
         n_problems: int,
         shrinkage: float,
         generator: torch.Generator,
+        start: Float[Tensor, "frames problems classes"] | None = None,
     ) -> None:
         if not 0 < shrinkage <= 1:
             raise ValueError(f"shrinkage is {shrinkage}: give a number above 0 and up to 1")
@@ -66,12 +68,13 @@ class Boosting:
         self.shrinkage = shrinkage
         self.generator = generator
         shape = (learner.n_frames, n_problems, targets.shape[2])
-        self.scores: Float[Tensor, "frames problems classes"] = torch.zeros(shape, device=learner.device)
+        zeros = torch.zeros(shape, device=learner.device)
+        self.scores: Float[Tensor, "frames problems classes"] = zeros if start is None else start
         self.ended: Bool[Tensor, " problems"] = torch.zeros(
             n_problems, dtype=torch.bool, device=learner.device
         )
         self._failures = torch.zeros(shape[1], dtype=torch.int64, device=learner.device)
-        self._exponentials = torch.ones(shape, device=learner.device)
+        self._exponentials = exponentials_of(self.scores, self.targets)
         self._rounds: list = []
         self._steps: list[Tensor] = []
         self._memory: object = None

@@ -15,7 +15,8 @@ from dpmacro.learners.stumps import StumpLearner
 __all__ = ["LeftOutScores", "bounded_deviance", "left_out_scores"]
 
 FOLDS = 4
-ROUNDS = 60
+SHARED_ROUNDS = 60  # that a rival's macro-actions share
+OWN_ROUNDS = 40  # of each after those
 COLUMNS = 128  # random columns searched a round
 SHRINKAGE = 0.2
 
@@ -44,24 +45,33 @@ def left_out_scores(
     Every rival gets the same folds and random columns, drawn by `seed`. Trajectories of a group fall into the
     same fold; where there are fewer groups than folds, stretches of trajectories are left out instead.
     `on_round` hears the training loss of all of them together.
+
+    A macro-action has a part of the frames only. If its classifier learned from those alone it would know
+    less than the baseline of what all macro-actions have in common, and a segmentation would be judged by
+    that lack. So all classifiers of a fold begin as the baseline's, after its first `SHARED_ROUNDS`.
     """
     generator = torch.Generator().manual_seed(seed)
     fold_of = frame_folds(lengths, FOLDS, generator, groups)
     n_folds = int(fold_of.max()) + 1
     learner = StumpLearner(data, drawn=COLUMNS)
     kept = (fold_of[:, None] != torch.arange(n_folds)).float()
-    held = torch.nn.functional.one_hot(rivals.cpu(), n_macros).float().transpose(0, 1)
+    kept = kept.to(learner.device)
+    held = torch.nn.functional.one_hot(rivals, n_macros).float().transpose(0, 1).to(learner.device)
     base = (held[:, :, None] * kept[:, None, :, None]).flatten(1)
-    base = torch.cat([base, kept], 1).to(learner.device)
-    boosting = Boosting(
-        learner, class_targets(actions, n_actions).to(learner.device), base.shape[1], SHRINKAGE, generator
-    )
-    truth = actions.to(learner.device)[:, None]
-    for number in range(1, ROUNDS + 1):
-        boosting.round(base)
-        loss = float((base * boosting.losses()).sum() / base.sum())
-        accuracy = float((base * (boosting.scores.argmax(2) == truth)).sum() / base.sum())
-        on_round(Round("judge", number, ROUNDS, loss, accuracy, None))
+    base = torch.cat([base, kept], 1)
+    targets = class_targets(actions, n_actions).to(learner.device)
+    folds = torch.arange(n_folds, device=learner.device)
+    forks = torch.cat([folds.repeat_interleave(n_macros).repeat(len(rivals)), folds])
+    boosting, rounds = Boosting(learner, targets, n_folds, SHRINKAGE, generator), SHARED_ROUNDS + OWN_ROUNDS
+    for number in range(1, rounds + 1):
+        if number == SHARED_ROUNDS + 1:
+            start = boosting.scores[:, forks]
+            boosting = Boosting(learner, targets, len(forks), SHRINKAGE, generator, start)
+        weights = kept if number <= SHARED_ROUNDS else base
+        boosting.round(weights)
+        loss = float((weights * boosting.losses()).sum() / weights.sum())
+        right = boosting.scores.argmax(2) == actions.to(learner.device)[:, None]
+        on_round(Round("judge", number, rounds, loss, float((weights * right).sum() / weights.sum()), None))
     frames, own = torch.arange(len(actions)), fold_of
     macros = boosting.scores[:, :-n_folds].unflatten(1, (len(rivals), n_folds, n_macros))
     alone = boosting.scores[:, -n_folds:]

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from dpmacro.alternation import Alternated, SwitchCosts, alternate, pooled
 from dpmacro.boosting import Boosting, Round, class_targets
-from dpmacro.initial import action_events, initial_segmentations
+from dpmacro.initial import action_events, feature_peaks, initial_segmentations
 from dpmacro.joint import switch_costs
 from dpmacro.learners import Frames, StrongClassifier, WeakLearner
 from dpmacro.learners.sorting import SortedLevels
@@ -31,6 +31,8 @@ from dpmacro.selection import Judged, Task, best_verdict, confidence, distinct, 
 from dpmacro.stopping import validated_rounds
 
 __all__ = ["DPBoost", "DPBoostResult"]
+
+PEAKS = 64  # rivals that are cut at feature peaks, with two macro-actions; fewer with more
 
 
 @dataclass(frozen=True)
@@ -240,11 +242,7 @@ class DPBoost:
         return SortedLevels.build(quantiser.levels(values)), quantiser
 
     def _search(self, data: SortedLevels, task: Task, on_round: Callable[[Round], None]) -> Search:
-        fewer = [
-            replace(task, macros=macros, max_transitions=min(macros - 1, task.max_transitions))
-            for macros in range(2, task.macros)
-        ]
-        candidates = pooled([self._discover(data, smaller, on_round) for smaller in [*fewer, task]])
+        candidates = pooled([self._discover(data, smaller, on_round) for smaller in _smaller(task)])
         judged = self._judge(data, task, candidates, on_round)
         best = best_verdict([rival.verdict for rival in judged])
         return Search(task, candidates, tuple(judged), best)
@@ -268,15 +266,28 @@ class DPBoost:
     def _judge(
         self, data: SortedLevels, task: Task, candidates: Alternated, on_round: Callable[[Round], None]
     ) -> list[Judged]:
-        """Verdicts on what the alternation found, on cuts by rare actions as they are (the alternation, which
-        knows no switch functions, drifts away from them), on what switch functions make of the best, and on
-        the best of all with fewer macro-actions.
+        """Verdicts on what the alternation found, on cuts by rare actions and at feature peaks as they are,
+        on what switch functions make of the best, and on the best of all with fewer macro-actions.
+
+        The alternation knows no switch functions: it drifts away from cuts that can be recognised.
         """
         order = candidates.loss[-1].argsort()
         generator = torch.Generator().manual_seed(self.seed)
         bounds = task.macros, task.max_transitions
         events = action_events(task.actions, task.lengths, self.restarts // 4, *bounds, generator)
-        rivals = torch.cat([candidates.labels[order], events])
+        peaks = [
+            feature_peaks(
+                data.levels,
+                task.lengths,
+                PEAKS // (smaller.macros - 1),
+                smaller.macros,
+                smaller.max_transitions,
+                generator,
+                task.actions,
+            )
+            for smaller in _smaller(task)
+        ]
+        rivals = torch.cat([candidates.labels[order], events, *peaks])
         judged = judge(data, task, rivals[distinct(rivals)], on_round)
         if self.switch_weight > 0 and task.n_groups > 1:
             judged = recut(judged, data, task, self.switch_weight, on_round)
@@ -310,6 +321,13 @@ class DPBoost:
         return alternate(
             boosting, task.actions, task.lengths, starts, *bounds, rounds, warmup, stage, on_round, costs
         )
+
+
+def _smaller(task: Task) -> list[Task]:
+    """The task with 2, 3, ... macro-actions and so many transitions as they need, up to the whole."""
+    bound = task.max_transitions
+    fewer = [replace(task, macros=n, max_transitions=min(n - 1, bound)) for n in range(2, task.macros)]
+    return [*fewer, task]
 
 
 def _check(data: SortedLevels, actions: Tensor, lengths: Tensor, macros: int) -> None:

@@ -106,8 +106,6 @@ def _visit(env: gym.Env, planner: MacroPlanner, teacher: Teacher, seed: int) -> 
 @functools.cache
 def _stage(source: PlannerSource, world: str) -> tuple[gym.Env, MacroPlanner, Teacher]:
     """One world, given as JSON, and planner a process, for one run after another."""
-    options = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in json.loads(world).items()
-    }
+    options = json.loads(world)
     assert source.path is not None, "the teacher has nothing to learn from itself"
     return gym.make(options.pop("id"), **options), MacroPolicy.load(source.path).planner(False), Teacher()

@@ -53,22 +53,31 @@ def feature_peaks(
     macros: int,
     max_transitions: int,
     generator: torch.Generator,
+    actions: Int64[Tensor, " frames"] | None = None,
 ) -> Int64[Tensor, "restarts frames"]:
     """Cuts where S random features are extreme: change points that can be recognised when they come.
 
     A switch function sees images and nothing else, so a segmentation that can be run changes where something
     is seen. Every restart draws S columns, each with a sign, and cuts every trajectory where each has its
     first maximum after its first frame; macro-actions come in turn from the first.
+
+    Given `actions`, cuts are made only where another action is taken than in the frame before, in
+    trajectories that have such frames: who begins another macro-action mostly begins another action.
     """
     shape = (restarts, max_transitions)
     columns = torch.randint(len(levels), shape, generator=generator)
     falling = torch.randint(2, shape, generator=generator, dtype=torch.bool)
+    drawn = levels[columns.to(levels.device)].cpu().short()  # [restarts, S, frames]
+    heights = torch.where(falling[:, :, None], -drawn, drawn)
+    allowed = torch.ones(drawn.shape[2], dtype=torch.bool)
+    if actions is not None:
+        allowed[1:] = (actions[1:] != actions[:-1]).cpu()
+    allowed[lengths.cumsum(0) - lengths] = False
     parts = []
-    drawn = levels[columns.to(levels.device)].cpu()  # [restarts, S, frames]
-    for part in drawn.split(lengths.tolist(), 2):
-        later = part[:, :, 1:] if part.shape[2] > 1 else part
-        peaks = 1 + torch.where(falling, later.argmin(2), later.argmax(2))
-        parts.append((torch.arange(part.shape[2]) >= peaks[:, :, None]).sum(1) % macros)
+    for part, own in zip(heights.split(lengths.tolist(), 2), allowed.split(lengths.tolist()), strict=True):
+        places = own.nonzero()[:, 0] if own.any() else torch.arange(1, max(len(own), 2))
+        peaks = places[part[:, :, places.clamp(max=len(own) - 1)].argmax(2)]
+        parts.append((torch.arange(len(own)) >= peaks[:, :, None]).sum(1) % macros)
     return torch.cat(parts, 1)
 
 

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 __all__ = ["spread", "stopped"]
 
+AHEAD = 4  # items a worker, so that none idles while the next result is long in coming
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -25,7 +26,7 @@ def spread(
     Args:
         task: a function of a module, or a `functools.partial` of one; what it needs for many items it may
             keep in a `functools.cache`, which lives as long as its process.
-        items: may be endless; only a few more than are asked for are worked on.
+        items: may be endless; at most `AHEAD` a worker are worked on before their result is asked for.
         workers: processes, 1 or more. Closing the generator, or an interrupt, ends them.
 
     Raises ValueError for workers < 1. What a task raises is raised here.
@@ -48,7 +49,7 @@ def _spread(
     pool = ProcessPoolExecutor(workers, context, _start_worker, (stop,))
     waiting = iter(items)
     pending: deque[Future[Any]] = deque(
-        pool.submit(task, item) for item in itertools.islice(waiting, 2 * workers)
+        pool.submit(task, item) for item in itertools.islice(waiting, AHEAD * workers)
     )
     try:
         while pending:

@@ -5,17 +5,12 @@ A run that provably goes nowhere ends at once. Where the world's info tells its 
 it ends there, with the outcome that it would have had at the world's last step.
 """
 
-import multiprocessing
-import os
-import signal
+import json
 import sys
-import threading
-from collections.abc import Callable, Generator, Hashable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Generator, Hashable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
-from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -24,6 +19,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int8, UInt8
 
 import dpmacro.worlds  # noqa: F401  registers the environments
+from dpmacro.processes import spread, stopped
 
 SUCCESS = "success"
 OUTCOMES = (SUCCESS, "red_first", "blue_never_reached", "red_never_reached")
@@ -163,7 +159,8 @@ def iter_episodes(
         raise ValueError(f"workers is {workers}, it must be at least 1")
     if workers == 1:
         return _run_here(source, world, seeds)
-    return _run_in_processes(source, world, seeds, min(workers, max(len(seeds), 1)))
+    task = partial(_run_in_worker, source, json.dumps(dict(world)))
+    return spread(task, seeds, min(workers, max(len(seeds), 1)))
 
 
 def replay(
@@ -206,12 +203,12 @@ class _Stage:
             outcome = _outcome(info) if ended else ""
             yield Moment(phase, action, macro, float(reward), outcome, view, position, loop)
 
-    def episode(self, seed: int, stop: Event | None = None) -> Episode:
+    def episode(self, seed: int) -> Episode:
         moments = []
         with one_thread():
             for moment in self.moments(seed):
                 moments.append(moment)
-                if stop is not None and stop.is_set():
+                if stopped():
                     raise InterruptedError(f"run of seed {seed} stopped after {len(moments)} steps")
         return Episode(
             seed=seed,
@@ -275,38 +272,11 @@ def _run_here(
             yield stage.episode(seed)
 
 
-def _run_in_processes(
-    source: PlannerSource, world: Mapping[str, Any], seeds: Sequence[int], workers: int
-) -> Generator[Episode, None, None]:
-    context = multiprocessing.get_context("spawn")
-    stop = context.Event()
-    executor = ProcessPoolExecutor(workers, context, _start_worker, (source, dict(world), stop))
-    try:
-        yield from executor.map(_run_in_worker, seeds)
-    finally:
-        stop.set()
-        executor.shutdown(cancel_futures=True)
+@cache
+def _stage(source: PlannerSource, world: str) -> _Stage:
+    """One world, given as JSON, and planner a process, for one run after another."""
+    return _Stage(source, json.loads(world))
 
 
-# A worker process's world and planner, made with its first episode, and the parent's word to stop.
-_stage: Callable[[], _Stage]
-_stop: Event
-
-
-def _start_worker(source: PlannerSource, world: dict[str, Any], stop: Event) -> None:
-    # Nothing that may fail is done here: an initializer's exception would break the pool and hide itself.
-    global _stage, _stop
-    _stage, _stop = cache(partial(_Stage, source, world)), stop
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is interrupted too, and says when to stop
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _run_in_worker(seed: int) -> Episode:
-    return _stage().episode(seed, _stop)
+def _run_in_worker(source: PlannerSource, world: str, seed: int) -> Episode:
+    return _stage(source, world).episode(seed)

@@ -17,7 +17,8 @@ SEED = 3
 
 @pytest.fixture(autouse=True)
 def few_rounds(monkeypatch):
-    monkeypatch.setattr(crossfit, "ROUNDS", 12)
+    monkeypatch.setattr(crossfit, "SHARED_ROUNDS", 4)
+    monkeypatch.setattr(crossfit, "OWN_ROUNDS", 8)
     monkeypatch.setattr(crossfit, "COLUMNS", 5)
 
 
@@ -64,7 +65,9 @@ def test_a_rival_with_one_macro_action_is_the_baseline():
     found = scores_of(data, actions, rivals)
     torch.testing.assert_close(found.macros[2, :, 0], found.alone)
     torch.testing.assert_close(found.macros[3, :, 1], found.alone)
-    assert not found.macros[2, :, 1].any(), "a macro-action without a frame learns nothing"
+    common = found.macros[2, :, 1]
+    assert common.any(), "a macro-action without a frame knows what all have in common"
+    assert torch.equal(common, found.macros[3, :, 0]) and not torch.allclose(common, found.alone)
     assert not torch.allclose(found.macros[0, :, 0], found.alone)
 
 

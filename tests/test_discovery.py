@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from dpmacro.crossfit import OWN_ROUNDS, SHARED_ROUNDS
 from dpmacro.discovery import DPBoost
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.metrics import frame_accuracy
 from dpmacro.quantising import Quantiser
 from dpmacro.segmentation import transition_counts
+from dpmacro.selection import FINALISTS, LEADERS
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 
@@ -56,8 +58,11 @@ def test_reports_every_round(fitted):
     stages = [report.stage for report in reports]
     assert stages[:80] == ["discover"] * 80
     assert stages[-60:] == ["fit"] * 60
-    assert set(stages[80:-60]) == {"judge"}  # with few rivals, nothing is to be screened
-    assert stages.count("judge") % 60 == 0
+    between = stages[80:-60]
+    screened = between.count("recognise")
+    assert between[:screened] == ["recognise"] * screened and screened > FINALISTS + LEADERS
+    assert set(between[screened:]) == {"judge"}
+    assert stages.count("judge") % (SHARED_ROUNDS + OWN_ROUNDS) == 0
     assert [report.number for report in reports[-60:]] == list(range(1, 61))
     assert [report.loss for report in reports[-60:]] == pytest.approx(result.loss.tolist())
     assert reports[-1].accuracy > 0.95

@@ -31,6 +31,7 @@ def test_the_bound_holds_and_a_seed_repeats(lengths, macros, bound, seed):
         lambda g: uniform_cuts(lengths, macros, bound).expand(3, -1),
         lambda g: random_cuts(lengths, 3, macros, bound, g),
         lambda g: feature_peaks(levels, lengths, 3, macros, bound, g),
+        lambda g: feature_peaks(levels, lengths, 3, macros, bound, g, actions),
     ):
         labels = start(torch.Generator().manual_seed(seed))
         assert torch.equal(labels, start(torch.Generator().manual_seed(seed)))
@@ -45,6 +46,16 @@ def test_feature_peaks_cut_where_a_feature_is_extreme():
     labels = feature_peaks(levels, torch.tensor([5, 5]), 40, 2, 1, torch.Generator().manual_seed(0))
     starts = {tuple(row.tolist()) for row in labels}
     assert starts == {(0, 1, 1, 1, 1, 0, 1, 1, 1, 1), (0, 0, 1, 1, 1, 0, 0, 1, 1, 1)}
+
+
+def test_feature_peaks_may_be_cut_only_where_the_action_changes():
+    levels = torch.tensor([[5, 9, 1, 9, 4, 2, 7, 0, 7, 3]], dtype=torch.uint8)
+    actions = torch.tensor([0, 0, 1, 1, 2, 2, 2, 2, 2, 2])
+    generator = torch.Generator().manual_seed(0)
+    labels = feature_peaks(levels, torch.tensor([5, 5]), 40, 2, 1, generator, actions)
+    # The second trajectory, where no action follows another, is cut anywhere.
+    starts = {tuple(row.tolist()) for row in labels}
+    assert starts == {(0, 0, 0, 0, 1, 0, 1, 1, 1, 1), (0, 0, 1, 1, 1, 0, 0, 1, 1, 1)}
 
 
 def test_uniform_cuts_are_equally_far_apart():
