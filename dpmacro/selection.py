@@ -42,6 +42,7 @@ SWITCH_COLUMNS = 512
 SCREENING_COLUMNS = 128
 MARGIN = 1.0  # of the bounded deviance
 RECOGNISED = 0.5  # share of the changes
+CLOSE = 2  # standard errors; rivals nearer to the best do equally well
 REACH = 5  # frames on either side of one that do not vote on its label
 STRETCHES = 8
 
@@ -129,14 +130,14 @@ def best_verdict(verdicts: Sequence[Verdict]) -> int:
     """The number of the verdict to follow.
 
     Runnable are the rivals half of whose changes, at least, are recognised and that are run better than a
-    single classifier. Of those the one of least causal loss, or of those within a standard error of it the
+    single classifier. Of those the one of least causal loss, or of those within two standard errors of it the
     one whose changes are recognised best. Where none is runnable, the one of least loss in hindsight.
     """
     runnable = [k for k, verdict in enumerate(verdicts) if verdict.runnable]
     if not runnable:
         return min(range(len(verdicts)), key=lambda k: verdicts[k].hindsight_loss)
     best = min((verdicts[k] for k in runnable), key=lambda verdict: verdict.causal_loss)
-    limit = best.causal_loss + best.gain_error
+    limit = best.causal_loss + CLOSE * best.gain_error
     close = [k for k in runnable if verdicts[k].causal_loss <= limit]
     return max(close, key=lambda k: (verdicts[k].detected, -verdicts[k].causal_loss))
 
