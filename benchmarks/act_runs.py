@@ -1,14 +1,11 @@
 """Runs of planners in a world, every action timed, and an action's time while nothing else runs."""
 
-import multiprocessing
-import signal
+import json
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
-from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +15,8 @@ import torch
 from jaxtyping import Float64, UInt8
 
 from dpmacro.policy import MacroPolicy
-from dpmacro.rollouts import SUCCESS, Planner
+from dpmacro.processes import spread, stopped
+from dpmacro.rollouts import Planner, outcome_of
 from dpmacro.worlds.two_flags import TURN_LEFT
 
 __all__ = ["WARM_UP", "Run", "Source", "runs", "sights", "summary", "timed"]
@@ -63,26 +61,14 @@ def runs(
 
     `world` is {"id": of a registered environment, **its options}.
     """
-    if workers == 1:
-        stage = _Stage(source, world)
-        for seed in seeds:
-            with threads(1):
-                run = stage.run(seed)
-            yield run
-        return
-    context = multiprocessing.get_context("spawn")
-    stop = context.Event()
-    executor = ProcessPoolExecutor(workers, context, _start_worker, (source, dict(world), stop))
-    try:
-        yield from executor.map(_run_in_worker, seeds)
-    finally:
-        stop.set()
-        executor.shutdown(cancel_futures=True)
+    task = partial(_run, source, json.dumps(world))
+    yield from map(task, seeds) if workers == 1 else spread(task, seeds, workers)
 
 
 def sights(world: Mapping[str, Any], seed: int, count: int) -> UInt8[np.ndarray, "frames height width 3"]:
     """What the avatar sees while it turns left."""
-    env = _environment({**world, "max_steps": count + 1})
+    options = {**world, "max_steps": count + 1}
+    env = gym.make(options.pop("id"), **options)
     seen = [env.reset(seed=seed)[0]["pixels"]]
     while len(seen) < count:
         seen.append(env.step(TURN_LEFT)[0]["pixels"])
@@ -115,56 +101,28 @@ def threads(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-class _Stage:
-    """A world and a planner in it."""
+@cache
+def _stage(source: Source, world: str) -> tuple[Planner, gym.Env]:
+    """One planner and world, given as JSON, a process, for one run after another."""
+    options = json.loads(world)
+    return source.planner(), gym.make(options.pop("id"), **options)
 
-    def __init__(self, source: Source, world: Mapping[str, Any]):
-        self.planner = source.planner()
-        self.env = _environment(world)
 
-    def run(self, seed: int, stop: Event | None = None) -> Run:
-        observation, info = self.env.reset(seed=seed)
-        self.planner.reset(self.env)
-        took, ended = [], False
-        while not ended:
-            action, milliseconds = _timed_action(self.planner, observation, info)
+def _run(source: Source, world: str, seed: int) -> Run:
+    planner, env = _stage(source, world)
+    observation, info = env.reset(seed=seed)
+    planner.reset(env)
+    took, ended = [], False
+    with threads(1):
+        while not ended and not stopped():
+            action, milliseconds = _timed_action(planner, observation, info)
             took.append(milliseconds)
-            observation, _, terminated, truncated, info = self.env.step(action)
+            observation, _, terminated, truncated, info = env.step(action)
             ended = bool(terminated or truncated)
-            if stop is not None and stop.is_set():
-                raise InterruptedError(f"run of seed {seed} stopped after {len(took)} steps")
-        return Run(seed, _outcome(info), np.array(took))
-
-
-def _environment(world: Mapping[str, Any]) -> gym.Env:
-    # A JSON file gives lists for tuples.
-    options = {name: tuple(value) if isinstance(value, list) else value for name, value in world.items()}
-    return gym.make(options.pop("id"), **options)
+    return Run(seed, outcome_of(info), np.array(took))
 
 
 def _timed_action(planner: Planner, observation: dict[str, Any], info: dict[str, Any]) -> tuple[int, float]:
     start = time.perf_counter()
     action = planner.act(observation, info)
     return action, 1e3 * (time.perf_counter() - start)
-
-
-def _outcome(info: Mapping[str, Any]) -> str:
-    if info["is_success"]:
-        return SUCCESS
-    return info["failure"] or ("red_never_reached" if info["phase"] else "blue_never_reached")
-
-
-# A worker process's world and planner, made with its first run, and the parent's word to stop.
-_stage: Callable[[], _Stage]
-_stop: Event
-
-
-def _start_worker(source: Source, world: dict[str, Any], stop: Event) -> None:
-    global _stage, _stop
-    _stage, _stop = cache(partial(_Stage, source, world)), stop
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is interrupted too, and says when to stop
-    torch.set_num_threads(1)
-
-
-def _run_in_worker(seed: int) -> Run:
-    return _stage().run(seed, _stop)

@@ -200,7 +200,7 @@ class _Stage:
             loop = 0 if terminated else past.visit(info, self.planner)
             ended = bool(terminated or truncated or loop)
             step += 1
-            outcome = _outcome(info) if ended else ""
+            outcome = outcome_of(info) if ended else ""
             yield Moment(phase, action, macro, float(reward), outcome, view, position, loop)
 
     def episode(self, seed: int) -> Episode:
@@ -242,7 +242,8 @@ class Past:
         return now - self._times.setdefault(situation, now)
 
 
-def _outcome(info: Mapping[str, Any]) -> str:
+def outcome_of(info: Mapping[str, Any]) -> str:
+    """Which of `OUTCOMES` a run has that ends with this info."""
     if info["is_success"]:
         return SUCCESS
     return info["failure"] or ("red_never_reached" if info["phase"] else "blue_never_reached")

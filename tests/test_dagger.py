@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from safetensors.numpy import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from test_train import SMALL, call
 
+from dpmacro import dagger
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.lerobot_v3 import WORLD_FILE
 from dpmacro.policy import MacroPolicy
@@ -73,6 +75,25 @@ def test_the_best_planner_is_the_runs_own(run):
         best.read_bytes()
         == (run / "iterations/0/checkpoints/last/pretrained_model/model.safetensors").read_bytes()
     )
+
+
+def test_a_better_planner_is_kept_and_patience_ends(short_world, tmp_path, monkeypatch):
+    successes = [1, 2, 0, 2]
+    validated = dagger._validated
+
+    def counted(number, *given):
+        return replace(validated(number, *given), successes=successes[number])
+
+    monkeypatch.setattr(dagger, "_validated", counted)
+    given = [f"--dataset.root={short_world}", f"--output_dir={tmp_path / 'run'}", *SMALL, *DAGGER]
+    call(monkeypatch, *given, "--planner.type=baseline", "--dagger.iterations=9")
+    models = [
+        folder / "checkpoints/last/pretrained_model/model.safetensors"
+        for folder in (tmp_path / "run", *(tmp_path / "run/iterations" / str(n) for n in range(4)))
+    ]
+    kept, *own = (model.read_bytes() for model in models)
+    assert [kept == model for model in own] == [False, True, False, False], "of equals, the earlier"
+    assert len(list((tmp_path / "run/iterations").iterdir())) == 4, "two without a new best are enough"
 
 
 def test_success_and_agreement_are_logged(run):

@@ -108,7 +108,7 @@ def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tm
     ours = json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]
     expected = {**WORLD, "yaw_noise": 0.0, "renderer": "tiny"}
     assert ours["world"] == expected
-    assert (ours["planner"], ours["policy_path"]) == ("dpboost", str(policy))
+    assert (ours["planner"], ours["policy_path"], ours["recovery"]) == ("dpboost", str(policy), True)
     assert sum(failure["runs"] for failure in ours["failures"]) == 2
     assert {failure["macro"] for failure in ours["failures"]} <= {0, 1}
     assert ", macro-action " in capsys.readouterr().out

@@ -47,8 +47,6 @@ class TwoFlagsConfig:
     """PyBullet's software renderer ("tiny") or its EGL plugin ("egl"), which needs a graphics driver."""
 
     def __post_init__(self) -> None:
-        # A JSON file gives lists for tuples.
-        object.__setattr__(self, "render_size", tuple(self.render_size))
         width, height = self.render_size if len(self.render_size) == 2 else (0, 0)
         for ok, name, remedy in (
             (self.flags in ("random", "fixed"), "flags", "choose 'random' or 'fixed'"),
@@ -100,7 +98,9 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
             raise ValueError(f"TwoFlags has no option {unknown[0]!r}: choose among {', '.join(known)}")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"TwoFlags: render_mode is {render_mode!r}: choose None or 'rgb_array'")
-        self.config = TwoFlagsConfig(**options)
+        # A JSON file gives lists for tuples.
+        given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
+        self.config = TwoFlagsConfig(**given)
         self.render_mode = render_mode
         self.action_space = gym.spaces.Discrete(len(ACTIONS))
         pixels = gym.spaces.Box(0, 255, (PIXELS[1], PIXELS[0], 3), np.uint8)
