@@ -16,7 +16,7 @@ from dpmacro.features import FeatureSet, frames_before
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.quantising import Quantiser
 
-__all__ = ["Plan", "prepare"]
+__all__ = ["Plan", "prepare", "with_mirror_images"]
 
 GIB = 2**30
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
@@ -120,3 +120,19 @@ def prepare(
     del sampled, sampled_before
     data = SortedLevels.unsorted(levels) if plan.drawn else SortedLevels.build(levels)
     return features, Quantiser(torch.cat(cuts)), data
+
+
+def with_mirror_images(
+    data: SortedLevels,
+    images: UInt8[Tensor, "frames height width 3"],
+    lengths: Int64[Tensor, " trajectories"],
+    features: FeatureSet,
+    quantiser: Quantiser,
+) -> SortedLevels:
+    """The levels of all frames, then those of their mirror images, left and right exchanged; none sorted."""
+    before = frames_before(lengths.to(images.device))
+    levels = torch.cat([data.levels, torch.empty_like(data.levels)], 1)
+    for frames in torch.arange(len(images), device=images.device).split(max(VALUES // features.count, 1)):
+        values = features.values(images[frames].flip(2), images[before[frames]].flip(2))
+        levels[:, len(images) + frames] = quantiser.levels(values)
+    return SortedLevels.unsorted(levels)

@@ -106,8 +106,12 @@ class PlannerOptions:
     """Weak learners of the switch functions, likewise."""
     switch_window: int = 3
     """J, the frames from a change on that are its positive examples."""
-    switch_rounds: int = 60
+    switch_rounds: int = 200
     """Boosting rounds of the switch functions."""
+    switch_drawn: int = 128
+    """Random columns that a round of stumps searches for them."""
+    switch_mirror: bool = True
+    """Whether they learn from mirror images, too: they look, and need no mirrored actions."""
     switch_shrinkage: float = 0.2
     """Factor on every weak hypothesis of a switch function."""
 
@@ -133,7 +137,15 @@ class PlannerOptions:
             raise ValueError(f"planner.max_macros is {self.max_macros}: give 2 or more")
         if not 0 <= self.switch_weight < float("inf"):
             raise ValueError(f"planner.switch_weight is {self.switch_weight}: give 0 or more")
-        counts = ("rounds", "restarts", "rectangles", "reuse", "switch_window", "switch_rounds")
+        counts = (
+            "rounds",
+            "restarts",
+            "rectangles",
+            "reuse",
+            "switch_window",
+            "switch_rounds",
+            "switch_drawn",
+        )
         for name in counts:
             if getattr(self, name) < 1:
                 raise ValueError(f"planner.{name} is {getattr(self, name)}: give 1 or more")

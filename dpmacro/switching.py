@@ -100,7 +100,8 @@ def fit_switches(
     """Fit a switch function for every change of macro-label that the trajectories show.
 
     Args:
-        learner: finds the weak hypotheses; holds the frames.
+        learner: finds the weak hypotheses; holds the frames, and copies of all of them after them if
+            any, like mirror images: examples too, of which no threshold or cue is taken.
         labels, lengths: the segmentation.
         window: J >= 1, the positive frames from a change on. Later ones show what the next macro-action
             does, which a planner that waits for the change never sees: with J = 10 a correction near the
@@ -117,34 +118,39 @@ def fit_switches(
 
     All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
     be left out, and the calibration uses the training scores.
+
+    Raises ValueError where the learner does not hold a whole number of copies of the frames.
     """
     if window < 1 or rounds < 1:
         raise ValueError(f"window is {window} and rounds {rounds}: both must be 1 or more")
     if folds < 2:
         raise ValueError(f"folds is {folds}: give 2 or more, so that something can be left out")
+    n_frames = len(labels)
+    copies, rest = divmod(learner.n_frames, n_frames)
+    if rest or not copies:
+        raise ValueError(f"the learner holds {learner.n_frames} frames and {n_frames} are labelled")
     events = macro_segments(labels, lengths)
     pairs = sorted({(event.macro, event.following) for event in events if event.following is not None})
     if not pairs:
-        return SwitchFunctions([], torch.zeros(0), torch.zeros(0), torch.zeros(learner.n_frames, 0), None)
+        return SwitchFunctions([], torch.zeros(0), torch.zeros(0), torch.zeros(n_frames, 0), None)
     fold_of = folds_of(len(lengths), folds, generator, groups)
     n_fits = int(fold_of.max()) + 2 if fold_of.any() else 1  # the last one sees every trajectory
     weights, targets = zip(
         *(
-            _examples(pair, events, fold_of == fold, learner.n_frames, window)
+            _examples(pair, events, fold_of == fold, n_frames, window)
             for pair in pairs
             for fold in [*range(n_fits - 1), -1]
         ),
         strict=True,
     )
     n_problems = len(pairs) * n_fits
-    boosting = Boosting(
-        learner, torch.stack(targets, 1)[:, :, None].to(learner.device), n_problems, shrinkage, generator
-    )
-    base = torch.stack(weights, 1).to(learner.device)
+    all_targets = torch.stack(targets, 1).repeat(copies, 1)[:, :, None].to(learner.device)
+    boosting = Boosting(learner, all_targets, n_problems, shrinkage, generator)
+    base = (torch.stack(weights, 1).repeat(copies, 1) / copies).to(learner.device)
     own_fit = fold_of.clamp(max=n_fits - 1).repeat_interleave(lengths).to(learner.device)
     last = torch.arange(n_fits - 1, n_problems, n_fits, device=learner.device)
     stopping, kept = BestRound(rounds), None
-    held_out = torch.zeros(learner.n_frames, len(pairs), device=learner.device)
+    held_out = torch.zeros(n_frames, len(pairs), device=learner.device)
     for number in range(1, rounds + 1):
         ended = boosting.round(base)
         right = ((boosting.scores > 0) == boosting.targets)[:, :, 0]
@@ -152,10 +158,10 @@ def fit_switches(
         loss = float((base * boosting.losses()).sum() / n_problems)
         over = tuple(int(k) // n_fits for k in ended if int(k) % n_fits == n_fits - 1)
         on_round(Round("switch", number, rounds, loss, accuracy, None, ended=over))
-        scores = boosting.scores[:, :, 0].unflatten(1, (len(pairs), n_fits))
+        scores = boosting.scores[:n_frames, :, 0].unflatten(1, (len(pairs), n_fits))
         scores = scores.gather(2, own_fit[:, None, None].expand(-1, len(pairs), 1)).squeeze(2)
-        costs = exponentials_of(scores[:, :, None], boosting.targets[:, last])[:, :, 0]
-        exhausted = stopping.exhausted((base[:, last] * costs).sum(0))
+        costs = exponentials_of(scores[:, :, None], boosting.targets[:n_frames, last])[:, :, 0]
+        exhausted = stopping.exhausted((base[:n_frames, last] * costs).sum(0))
         if early_stopping:
             kept = stopping.best.repeat_interleave(n_fits)
             held_out = torch.where(stopping.best == number, scores, held_out)

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from dpmacro import figures
 from dpmacro.choosing import Choice, choose
-from dpmacro.columns import Plan, prepare
+from dpmacro.columns import Plan, prepare, with_mirror_images
 from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
@@ -112,7 +112,7 @@ class Trainer:
                 known = dpboost.adopt(*given, start, monitor.on_round, self._groups)
             discovery = dpboost.fit(*given, monitor.on_round, self._groups, known)
             switches = fit_switches(
-                self._learner(planner.switch_learner, planner.switch_rounds, data),
+                self._switch_learner(data, features, quantiser, discovery.macros),
                 discovery.labels,
                 self.lengths,
                 torch.Generator().manual_seed(self.options.seed),
@@ -139,7 +139,7 @@ class Trainer:
             macros,
             max_transitions,
             self._rounds(planner.learner, planner.rounds),
-            functools.partial(self._learner, planner.learner, planner.rounds),
+            self._learner,
             restarts=planner.restarts,
             seed=self.options.seed,
             device=self.options.device,
@@ -173,6 +173,7 @@ class Trainer:
         most = max(macros for macros, _ in self._settings)
         copies = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
         tables = TABLES * 4 * copies * most * (int(self.actions.max()) + 1)
+        tables += features.count * planner.switch_mirror  # levels of mirror images
         image_bytes = self.demonstrations.images[0].size
         return features, Plan.fitting(n_frames, image_bytes, features.count, tables, planner.memory_limit)
 
@@ -200,20 +201,32 @@ class Trainer:
     def _shrinkage(self, kind: str, shrinkage: float) -> float:
         return self.options.planner.convnet.shrinkage if kind == "convnet" else shrinkage
 
-    def _learner(self, kind: str, rounds: int, data: SortedLevels) -> WeakLearner:
-        """The weak learner of that name; a mixed one turns to networks after `rounds`."""
+    def _learner(self, data: SortedLevels) -> WeakLearner:
+        """The weak learner of the strong classifiers."""
         planner = self.options.planner
+        drawn = planner.drawn or self.plan.drawn
+        stumps = StumpLearner(data, min(drawn, self.plan.drawn or drawn), planner.reuse)
+        return self._of_kind(planner.learner, planner.rounds, stumps, 1)
+
+    def _switch_learner(
+        self, data: SortedLevels, features: FeatureSet, quantiser: Quantiser, macros: int
+    ) -> WeakLearner:
+        """The weak learner of the switch functions, of mirror images, too, if they are not there already."""
+        planner, copies = self.options.planner, 1
+        if planner.switch_mirror and macros > 1 and not self.demonstrations.mirror_images:
+            data, copies = with_mirror_images(data, self._images, self.lengths, features, quantiser), 2
+        stumps = StumpLearner(data, planner.switch_drawn)
+        return self._of_kind(planner.switch_learner, planner.switch_rounds, stumps, copies)
+
+    def _of_kind(self, kind: str, rounds: int, stumps: StumpLearner, copies: int) -> WeakLearner:
+        """The learner of that name; a mixed one turns to networks after `rounds`."""
         if kind == "stumps":
-            drawn = planner.drawn or self.plan.drawn
-            return StumpLearner(data, min(drawn, self.plan.drawn or drawn), planner.reuse)
-        if kind == "convnet":
-            return ConvNetLearner(
-                self._images,
-                frames_before(self.lengths.to(self._images.device)),
-                epochs=planner.convnet.epochs,
-            )
-        stumps, networks = (self._learner(part, rounds, data) for part in ("stumps", "convnet"))
-        return InTurn(stumps, rounds, networks)
+            return stumps
+        images, before = self._images, frames_before(self.lengths.to(self._images.device))
+        if copies == 2:
+            images, before = torch.cat([images, images.flip(2)]), torch.cat([before, before + len(before)])
+        networks = ConvNetLearner(images, before, epochs=self.options.planner.convnet.epochs)
+        return networks if kind == "convnet" else InTurn(stumps, rounds, networks)
 
     def _policy(
         self,

@@ -38,6 +38,32 @@ def test_a_visible_change_is_recognised_when_it_comes():
     assert torch.equal(causal, labels)
 
 
+def test_copies_of_the_frames_are_examples_too():
+    learner, labels, lengths = trajectories()
+    twice = StumpLearner(SortedLevels.build(learner.data.levels.repeat(1, 2)))
+    once, again = (
+        fit_switches(own, labels, lengths, torch.Generator().manual_seed(0), rounds=10)
+        for own in (learner, twice)
+    )
+    assert again.held_out.shape == once.held_out.shape == (len(labels), 1)
+    assert again.detected.tolist() == once.detected.tolist() == [1.0]
+    assert torch.equal(again.held_out > again.thresholds, once.held_out > once.thresholds)
+    # A change that only the copies show is learned from them.
+    dark = learner.data.levels.clone()
+    dark[0] = 0
+    shown = StumpLearner(SortedLevels.build(torch.cat([dark, learner.data.levels], 1)))
+    found = fit_switches(shown, labels, lengths, torch.Generator().manual_seed(0), rounds=10)
+    scores = found.classifier.scores(Frames(learner.data.levels))[:, 0, 0]
+    change = labels.diff(prepend=labels[:1]) > 0
+    assert float(scores[change].min()) > float(scores[labels == 0].max())
+
+
+def test_a_learner_of_other_frames_is_refused():
+    learner, labels, lengths = trajectories()
+    with pytest.raises(ValueError, match=r"frames and \d+ are labelled"):
+        fit_switches(learner, labels[:-7], lengths, torch.Generator())
+
+
 def test_a_switch_function_may_fire_after_what_came_before_its_changes():
     learner, labels, lengths = trajectories()
     generator = torch.Generator().manual_seed(1)

@@ -99,8 +99,9 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"TwoFlags: render_mode is {render_mode!r}: choose None or 'rgb_array'")
         # A JSON file gives lists for tuples.
-        given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
-        self.config = TwoFlagsConfig(**given)
+        for name, value in options.items():
+            options[name] = tuple(value) if isinstance(value, list) else value
+        self.config = TwoFlagsConfig(**options)
         self.render_mode = render_mode
         self.action_space = gym.spaces.Discrete(len(ACTIONS))
         pixels = gym.spaces.Box(0, 255, (PIXELS[1], PIXELS[0], 3), np.uint8)
