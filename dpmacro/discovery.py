@@ -32,7 +32,7 @@ from dpmacro.stopping import validated_rounds
 
 __all__ = ["DPBoost", "DPBoostResult"]
 
-PEAKS = 64  # rivals that are cut at feature peaks, with two macro-actions; fewer with more
+PEAKS = 2  # rivals a restart that are cut at feature peaks, with two macro-actions; fewer with more
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ class DPBoost:
             feature_peaks(
                 data.levels,
                 task.lengths,
-                PEAKS // (smaller.macros - 1),
+                PEAKS * self.restarts // (smaller.macros - 1),
                 smaller.macros,
                 smaller.max_transitions,
                 generator,
