@@ -22,6 +22,7 @@ from dpmacro.stopping import BestRound
 __all__ = [
     "Event",
     "SwitchFunctions",
+    "aligned",
     "causal_labels",
     "cued",
     "fit_switches",
@@ -212,6 +213,24 @@ def causal_labels(
             labels[frame:stop] = macro
             frame += 1
     return labels
+
+
+def aligned(
+    switches: SwitchFunctions, labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]
+) -> Int64[Tensor, " frames"]:
+    """The segmentation with its changes where switch functions that never saw a trajectory make them in it.
+
+    Trajectories in which they would not make the same changes in the same order stay as they are.
+    """
+    first = starting_macro(labels, lengths)
+    told = causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, first)
+    parts = [part.split(lengths.tolist()) for part in (labels.cpu(), told)]
+    return torch.cat(
+        [
+            other if torch.equal(own.unique_consecutive(), other.unique_consecutive()) else own
+            for own, other in zip(*parts, strict=True)
+        ]
+    )
 
 
 def _examples(

@@ -5,7 +5,7 @@ switch functions are fitted on them; a policy, its segmentation, pictures and Te
 """
 
 import functools
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,10 +37,11 @@ from dpmacro.quantising import Quantiser
 from dpmacro.recovery import Stretches
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
-from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
+from dpmacro.switching import SwitchFunctions, aligned, fit_switches, starting_macro
 
 __all__ = ["Trainer", "TrainingResult", "plain_options"]
 
+ALIGNMENTS = 3  # times that changes are moved to where switch functions fire, at most
 TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
 
 
@@ -100,7 +101,6 @@ class Trainer:
 
         `start` is a segmentation that is known already: it takes the place of the search.
         """
-        planner = self.options.planner
         with SummaryWriter(str(self.folder.tensorboard)) as writer:
             features, quantiser, data = self._prepare()
             choice = self._choose(data, writer) if len(self._settings) > 1 else None
@@ -111,9 +111,32 @@ class Trainer:
             if start is not None and macros > 1:
                 known = dpboost.adopt(*given, start, monitor.on_round, self._groups)
             discovery = dpboost.fit(*given, monitor.on_round, self._groups, known)
-            switches = fit_switches(
-                self._switch_learner(data, features, quantiser, discovery.macros),
-                discovery.labels,
+            discovery, switches = self._align(
+                self._switch_learner(data, features, quantiser, discovery.macros), discovery, monitor
+            )
+            monitor.close()
+            policy = self._policy(features, quantiser, discovery, switches)
+            self._report(writer, policy, discovery, switches)
+        options = plain_options(self.options)
+        lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
+        labels = discovery.labels[: int(lengths.sum())]
+        pretrained = self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
+        return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
+
+    def _align(
+        self, learner: WeakLearner, discovery: DPBoostResult, monitor: Monitor
+    ) -> tuple[DPBoostResult, SwitchFunctions]:
+        """Switch functions, and the segmentation with its changes moved to where they fire.
+
+        Where a change is a frame or two late in a few demonstrations, the others tell. Changes are moved as
+        long as more of them are recognised for it; classifiers of the actions stay as they are.
+        """
+        planner = self.options.planner
+
+        def fitted(labels: Int64[Tensor, " frames"]) -> SwitchFunctions:
+            return fit_switches(
+                learner,
+                labels,
                 self.lengths,
                 torch.Generator().manual_seed(self.options.seed),
                 window=planner.switch_window,
@@ -124,14 +147,17 @@ class Trainer:
                 on_round=monitor.on_round,
                 actions=self.actions,
             )
-            monitor.close()
-            policy = self._policy(features, quantiser, discovery, switches)
-            self._report(writer, policy, discovery, switches)
-        options = plain_options(self.options)
-        lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
-        labels = discovery.labels[: int(lengths.sum())]
-        pretrained = self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
-        return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
+
+        switches = fitted(discovery.labels)
+        for _ in range(ALIGNMENTS):
+            labels = aligned(switches, discovery.labels, self.lengths)
+            if torch.equal(labels, discovery.labels):
+                break
+            again = fitted(labels)
+            if float(again.detected.mean()) <= float(switches.detected.mean()):
+                break
+            discovery, switches = replace(discovery, labels=labels), again
+        return discovery, switches
 
     def _dpboost(self, macros: int, max_transitions: int) -> DPBoost:
         planner = self.options.planner

@@ -9,7 +9,15 @@ from dpmacro.boosting import MARGIN_LIMIT
 from dpmacro.learners import Frames
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
-from dpmacro.switching import causal_labels, cued, fit_switches, macro_segments, starting_macro
+from dpmacro.switching import (
+    SwitchFunctions,
+    aligned,
+    causal_labels,
+    cued,
+    fit_switches,
+    macro_segments,
+    starting_macro,
+)
 
 
 def trajectories(n=12, visible=True, seed=0):
@@ -56,6 +64,27 @@ def test_copies_of_the_frames_are_examples_too():
     scores = found.classifier.scores(Frames(learner.data.levels))[:, 0, 0]
     change = labels.diff(prepend=labels[:1]) > 0
     assert float(scores[change].min()) > float(scores[labels == 0].max())
+
+
+def test_changes_move_to_where_switch_functions_fire():
+    learner, labels, lengths = trajectories()
+    late = torch.cat(
+        [
+            (torch.arange(len(part)) >= int(part.argmax()) + 4 * (place < 3)).long()
+            for place, part in enumerate(labels.split(lengths.tolist()))
+        ]
+    )
+    switches = fit_switches(learner, late, lengths, torch.Generator().manual_seed(0), rounds=10)
+    assert switches.detected.tolist() == [0.75]
+    assert torch.equal(aligned(switches, late, lengths), labels)
+
+
+def test_trajectories_with_other_changes_stay_as_they_are():
+    lengths, labels = torch.tensor([4, 4, 4]), torch.tensor([0, 0, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1])
+    scores = torch.tensor([-1.0, 2, -1, -1, -1, -1, -1, -1, 2, -1, -1, -1])[:, None]
+    switches = SwitchFunctions([(0, 1)], torch.zeros(1), torch.ones(1), scores, None)
+    # The first change is moved, the second is never recognised, the third trajectory has none.
+    assert aligned(switches, labels, lengths).tolist() == [0, 1, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1]
 
 
 def test_a_learner_of_other_frames_is_refused():
