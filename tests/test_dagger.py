@@ -86,7 +86,8 @@ def test_a_better_planner_is_kept_and_patience_ends(short_world, tmp_path, monke
 
     monkeypatch.setattr(dagger, "_validated", counted)
     given = [f"--dataset.root={short_world}", f"--output_dir={tmp_path / 'run'}", *SMALL, *DAGGER]
-    call(monkeypatch, *given, "--planner.type=baseline", "--dagger.iterations=9")
+    small = [option.replace("dagger.iterations=2", "dagger.iterations=9") for option in given]
+    call(monkeypatch, *small, "--planner.type=baseline", "--dagger.workers=1")
     models = [
         folder / "checkpoints/last/pretrained_model/model.safetensors"
         for folder in (tmp_path / "run", *(tmp_path / "run/iterations" / str(n) for n in range(4)))
