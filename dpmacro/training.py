@@ -37,11 +37,10 @@ from dpmacro.quantising import Quantiser
 from dpmacro.recovery import Stretches
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
-from dpmacro.switching import SwitchFunctions, aligned, fit_switches, starting_macro
+from dpmacro.switching import SwitchFunctions, fit_aligned, fit_switches, starting_macro
 
 __all__ = ["Trainer", "TrainingResult", "plain_options"]
 
-ALIGNMENTS = 3  # times that changes are moved to where switch functions fire, at most
 TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
 
 
@@ -111,9 +110,11 @@ class Trainer:
             if start is not None and macros > 1:
                 known = dpboost.adopt(*given, start, monitor.on_round, self._groups)
             discovery = dpboost.fit(*given, monitor.on_round, self._groups, known)
-            discovery, switches = self._align(
-                self._switch_learner(data, features, quantiser, discovery.macros), discovery, monitor
+            learner = self._switch_learner(data, features, quantiser, discovery.macros)
+            labels, switches = fit_aligned(
+                lambda moved: self._fit_switches(learner, moved, monitor), discovery.labels, self.lengths
             )
+            discovery = replace(discovery, labels=labels)
             monitor.close()
             policy = self._policy(features, quantiser, discovery, switches)
             self._report(writer, policy, discovery, switches)
@@ -123,41 +124,23 @@ class Trainer:
         pretrained = self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
         return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
 
-    def _align(
-        self, learner: WeakLearner, discovery: DPBoostResult, monitor: Monitor
-    ) -> tuple[DPBoostResult, SwitchFunctions]:
-        """Switch functions, and the segmentation with its changes moved to where they fire.
-
-        Where a change is a frame or two late in a few demonstrations, the others tell. Changes are moved as
-        long as more of them are recognised for it; classifiers of the actions stay as they are.
-        """
+    def _fit_switches(
+        self, learner: WeakLearner, labels: Int64[Tensor, " frames"], monitor: Monitor
+    ) -> SwitchFunctions:
         planner = self.options.planner
-
-        def fitted(labels: Int64[Tensor, " frames"]) -> SwitchFunctions:
-            return fit_switches(
-                learner,
-                labels,
-                self.lengths,
-                torch.Generator().manual_seed(self.options.seed),
-                window=planner.switch_window,
-                rounds=self._rounds(planner.switch_learner, planner.switch_rounds),
-                shrinkage=self._shrinkage(planner.switch_learner, planner.switch_shrinkage),
-                early_stopping=planner.early_stopping,
-                groups=self._groups,
-                on_round=monitor.on_round,
-                actions=self.actions,
-            )
-
-        switches = fitted(discovery.labels)
-        for _ in range(ALIGNMENTS):
-            labels = aligned(switches, discovery.labels, self.lengths)
-            if torch.equal(labels, discovery.labels):
-                break
-            again = fitted(labels)
-            if float(again.detected.mean()) <= float(switches.detected.mean()):
-                break
-            discovery, switches = replace(discovery, labels=labels), again
-        return discovery, switches
+        return fit_switches(
+            learner,
+            labels,
+            self.lengths,
+            torch.Generator().manual_seed(self.options.seed),
+            window=planner.switch_window,
+            rounds=self._rounds(planner.switch_learner, planner.switch_rounds),
+            shrinkage=self._shrinkage(planner.switch_learner, planner.switch_shrinkage),
+            early_stopping=planner.early_stopping,
+            groups=self._groups,
+            on_round=monitor.on_round,
+            actions=self.actions,
+        )
 
     def _dpboost(self, macros: int, max_transitions: int) -> DPBoost:
         planner = self.options.planner

@@ -14,6 +14,7 @@ from dpmacro.switching import (
     aligned,
     causal_labels,
     cued,
+    fit_aligned,
     fit_switches,
     macro_segments,
     starting_macro,
@@ -77,6 +78,25 @@ def test_changes_move_to_where_switch_functions_fire():
     switches = fit_switches(learner, late, lengths, torch.Generator().manual_seed(0), rounds=10)
     assert switches.detected.tolist() == [0.75]
     assert torch.equal(aligned(switches, late, lengths), labels)
+    found, again = fit_aligned(
+        lambda moved: fit_switches(learner, moved, lengths, torch.Generator().manual_seed(0), rounds=10),
+        late,
+        lengths,
+    )
+    assert torch.equal(found, labels) and again.detected.tolist() == [1.0]
+
+
+def test_changes_stay_where_moving_them_helps_no_switch_function():
+    lengths, labels = torch.tensor([4, 4]), torch.tensor([0, 0, 1, 1, 0, 0, 1, 1])
+    scores = torch.tensor([-1.0, 2, -1, -1, -1, -1, 2, -1])[:, None]
+    asked = []
+
+    def fit(given):
+        asked.append(given.tolist())
+        return SwitchFunctions([(0, 1)], torch.zeros(1), torch.tensor([0.5]), scores, None)
+
+    found, _ = fit_aligned(fit, labels, lengths)
+    assert asked == [labels.tolist(), [0, 1, 1, 1, 0, 0, 1, 1]] and torch.equal(found, labels)
 
 
 def test_trajectories_with_other_changes_stay_as_they_are():
