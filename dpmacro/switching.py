@@ -22,10 +22,8 @@ from dpmacro.stopping import BestRound
 __all__ = [
     "Event",
     "SwitchFunctions",
-    "aligned",
     "causal_labels",
     "cued",
-    "fit_aligned",
     "fit_switches",
     "macro_segments",
     "starting_macro",
@@ -33,7 +31,6 @@ __all__ = [
 
 
 COVERED = 0.75  # of the changes, by their cues
-ALIGNMENTS = 3  # times that changes are moved, at most
 
 
 @dataclass(frozen=True)
@@ -215,46 +212,6 @@ def causal_labels(
             labels[frame:stop] = macro
             frame += 1
     return labels
-
-
-def aligned(
-    switches: SwitchFunctions, labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]
-) -> Int64[Tensor, " frames"]:
-    """The segmentation with its changes where switch functions that never saw a trajectory make them in it.
-
-    Trajectories in which they would not make the same changes in the same order stay as they are.
-    """
-    first = starting_macro(labels, lengths)
-    told = causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, first)
-    parts = [part.split(lengths.tolist()) for part in (labels.cpu(), told)]
-    return torch.cat(
-        [
-            other if torch.equal(own.unique_consecutive(), other.unique_consecutive()) else own
-            for own, other in zip(*parts, strict=True)
-        ]
-    )
-
-
-def fit_aligned(
-    fit: Callable[[Int64[Tensor, " frames"]], SwitchFunctions],
-    labels: Int64[Tensor, " frames"],
-    lengths: Int64[Tensor, " trajectories"],
-) -> tuple[Int64[Tensor, " frames"], SwitchFunctions]:
-    """The segmentation with its changes moved to where switch functions fire, and those functions.
-
-    Where a change is a frame or two late in a few trajectories, the others tell. Changes are moved as long as
-    more of them are recognised for it, `ALIGNMENTS` times at most; `fit` makes switch functions from labels.
-    """
-    switches = fit(labels)
-    for _ in range(ALIGNMENTS):
-        moved = aligned(switches, labels, lengths)
-        if torch.equal(moved, labels):
-            break
-        again = fit(moved)
-        if float(again.detected.mean()) <= float(switches.detected.mean()):
-            break
-        labels, switches = moved, again
-    return labels, switches
 
 
 def _examples(

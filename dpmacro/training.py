@@ -17,6 +17,7 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from dpmacro import figures
+from dpmacro.alignment import fit_aligned
 from dpmacro.choosing import Choice, choose
 from dpmacro.columns import Plan, prepare, with_mirror_images
 from dpmacro.crossfit import FOLDS
@@ -37,7 +38,7 @@ from dpmacro.quantising import Quantiser
 from dpmacro.recovery import Stretches
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
-from dpmacro.switching import SwitchFunctions, fit_aligned, fit_switches, starting_macro
+from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
 
 __all__ = ["Trainer", "TrainingResult", "plain_options"]
 

@@ -4,38 +4,19 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from visible import trajectories
 
 from dpmacro.boosting import MARGIN_LIMIT
 from dpmacro.learners import Frames
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
 from dpmacro.switching import (
-    SwitchFunctions,
-    aligned,
     causal_labels,
     cued,
-    fit_aligned,
     fit_switches,
     macro_segments,
     starting_macro,
 )
-
-
-def trajectories(n=12, visible=True, seed=0):
-    """Two macro-actions; where `visible`, column 0 is high at the change and for nine frames after it."""
-    generator = torch.Generator().manual_seed(seed)
-    labels, columns, lengths = [], [], []
-    for _ in range(n):
-        length = int(torch.randint(60, 90, (1,), generator=generator))
-        cut = int(torch.randint(20, 40, (1,), generator=generator))
-        part = torch.randint(0, 120, (6, length), dtype=torch.uint8, generator=generator)
-        if visible:
-            part[0, cut : cut + 10] = 200
-        labels.append((torch.arange(length) >= cut).long())
-        columns.append(part)
-        lengths.append(length)
-    learner = StumpLearner(SortedLevels.build(torch.cat(columns, 1)))
-    return learner, torch.cat(labels), torch.tensor(lengths)
 
 
 def test_a_visible_change_is_recognised_when_it_comes():
@@ -65,46 +46,6 @@ def test_copies_of_the_frames_are_examples_too():
     scores = found.classifier.scores(Frames(learner.data.levels))[:, 0, 0]
     change = labels.diff(prepend=labels[:1]) > 0
     assert float(scores[change].min()) > float(scores[labels == 0].max())
-
-
-def test_changes_move_to_where_switch_functions_fire():
-    learner, labels, lengths = trajectories()
-    late = torch.cat(
-        [
-            (torch.arange(len(part)) >= int(part.argmax()) + 4 * (place < 3)).long()
-            for place, part in enumerate(labels.split(lengths.tolist()))
-        ]
-    )
-    switches = fit_switches(learner, late, lengths, torch.Generator().manual_seed(0), rounds=10)
-    assert switches.detected.tolist() == [0.75]
-    assert torch.equal(aligned(switches, late, lengths), labels)
-    found, again = fit_aligned(
-        lambda moved: fit_switches(learner, moved, lengths, torch.Generator().manual_seed(0), rounds=10),
-        late,
-        lengths,
-    )
-    assert torch.equal(found, labels) and again.detected.tolist() == [1.0]
-
-
-def test_changes_stay_where_moving_them_helps_no_switch_function():
-    lengths, labels = torch.tensor([4, 4]), torch.tensor([0, 0, 1, 1, 0, 0, 1, 1])
-    scores = torch.tensor([-1.0, 2, -1, -1, -1, -1, 2, -1])[:, None]
-    asked = []
-
-    def fit(given):
-        asked.append(given.tolist())
-        return SwitchFunctions([(0, 1)], torch.zeros(1), torch.tensor([0.5]), scores, None)
-
-    found, _ = fit_aligned(fit, labels, lengths)
-    assert asked == [labels.tolist(), [0, 1, 1, 1, 0, 0, 1, 1]] and torch.equal(found, labels)
-
-
-def test_trajectories_with_other_changes_stay_as_they_are():
-    lengths, labels = torch.tensor([4, 4, 4]), torch.tensor([0, 0, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1])
-    scores = torch.tensor([-1.0, 2, -1, -1, -1, -1, -1, -1, 2, -1, -1, -1])[:, None]
-    switches = SwitchFunctions([(0, 1)], torch.zeros(1), torch.ones(1), scores, None)
-    # The first change is moved, the second is never recognised, the third trajectory has none.
-    assert aligned(switches, labels, lengths).tolist() == [0, 1, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1]
 
 
 def test_a_learner_of_other_frames_is_refused():

@@ -3,6 +3,7 @@
 import torch
 
 from dpmacro.learners.sorting import SortedLevels
+from dpmacro.learners.stumps import StumpLearner
 from dpmacro.selection import Task
 
 
@@ -22,3 +23,20 @@ def visible_change(n=12, length=80):
 def task_of(actions, lengths, macros=2, bound=1, groups=None):
     groups = torch.arange(len(lengths)) if groups is None else groups
     return Task(actions, lengths, groups, int(actions.max()) + 1, macros, bound, seed=0)
+
+
+def trajectories(n=12, visible=True, seed=0):
+    """Two macro-actions; where `visible`, column 0 is high at the change and for nine frames after it."""
+    generator = torch.Generator().manual_seed(seed)
+    labels, columns, lengths = [], [], []
+    for _ in range(n):
+        length = int(torch.randint(60, 90, (1,), generator=generator))
+        cut = int(torch.randint(20, 40, (1,), generator=generator))
+        part = torch.randint(0, 120, (6, length), dtype=torch.uint8, generator=generator)
+        if visible:
+            part[0, cut : cut + 10] = 200
+        labels.append((torch.arange(length) >= cut).long())
+        columns.append(part)
+        lengths.append(length)
+    learner = StumpLearner(SortedLevels.build(torch.cat(columns, 1)))
+    return learner, torch.cat(labels), torch.tensor(lengths)

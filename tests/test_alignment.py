@@ -1,0 +1,47 @@
+"""Changes that are late in a few trajectories, told by the others."""
+
+import torch
+from visible import trajectories
+
+from dpmacro.alignment import aligned, fit_aligned
+from dpmacro.switching import SwitchFunctions, fit_switches
+
+
+def test_changes_move_to_where_switch_functions_fire():
+    learner, labels, lengths = trajectories()
+    late = torch.cat(
+        [
+            (torch.arange(len(part)) >= int(part.argmax()) + 4 * (place < 3)).long()
+            for place, part in enumerate(labels.split(lengths.tolist()))
+        ]
+    )
+    switches = fit_switches(learner, late, lengths, torch.Generator().manual_seed(0), rounds=10)
+    assert switches.detected.tolist() == [0.75]
+    assert torch.equal(aligned(switches, late, lengths), labels)
+    found, again = fit_aligned(
+        lambda moved: fit_switches(learner, moved, lengths, torch.Generator().manual_seed(0), rounds=10),
+        late,
+        lengths,
+    )
+    assert torch.equal(found, labels) and again.detected.tolist() == [1.0]
+
+
+def test_changes_stay_where_moving_them_helps_no_switch_function():
+    lengths, labels = torch.tensor([4, 4]), torch.tensor([0, 0, 1, 1, 0, 0, 1, 1])
+    scores = torch.tensor([-1.0, 2, -1, -1, -1, -1, 2, -1])[:, None]
+    asked = []
+
+    def fit(given):
+        asked.append(given.tolist())
+        return SwitchFunctions([(0, 1)], torch.zeros(1), torch.tensor([0.5]), scores, None)
+
+    found, _ = fit_aligned(fit, labels, lengths)
+    assert asked == [labels.tolist(), [0, 1, 1, 1, 0, 0, 1, 1]] and torch.equal(found, labels)
+
+
+def test_trajectories_with_other_changes_stay_as_they_are():
+    lengths, labels = torch.tensor([4, 4, 4]), torch.tensor([0, 0, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1])
+    scores = torch.tensor([-1.0, 2, -1, -1, -1, -1, -1, -1, 2, -1, -1, -1])[:, None]
+    switches = SwitchFunctions([(0, 1)], torch.zeros(1), torch.ones(1), scores, None)
+    # The first change is moved, the second is never recognised, the third trajectory has none.
+    assert aligned(switches, labels, lengths).tolist() == [0, 1, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1]
