@@ -5,7 +5,7 @@ fit, levels alone are held and boosting sorts as many random columns as fit, dra
 where the levels of all columns do not fit either, random columns of the feature set are left out.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -15,8 +15,9 @@ from torch import Tensor
 from dpmacro.features import FeatureSet, frames_before
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.quantising import Quantiser
+from dpmacro.views import View
 
-__all__ = ["Plan", "prepare", "with_mirror_images"]
+__all__ = ["Plan", "prepare", "with_views"]
 
 GIB = 2**30
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
@@ -122,17 +123,19 @@ def prepare(
     return features, Quantiser(torch.cat(cuts)), data
 
 
-def with_mirror_images(
+def with_views(
     data: SortedLevels,
     images: UInt8[Tensor, "frames height width 3"],
     lengths: Int64[Tensor, " trajectories"],
     features: FeatureSet,
     quantiser: Quantiser,
+    views: Sequence[View],
 ) -> SortedLevels:
-    """The levels of all frames, then those of their mirror images, left and right exchanged; none sorted."""
+    """The levels of all frames, then those of all frames in each of the views; none sorted."""
     before = frames_before(lengths.to(images.device))
-    levels = torch.cat([data.levels, torch.empty_like(data.levels)], 1)
+    levels = data.levels.repeat(1, 1 + len(views))
     for frames in torch.arange(len(images), device=images.device).split(max(VALUES // features.count, 1)):
-        values = features.values(images[frames].flip(2), images[before[frames]].flip(2))
-        levels[:, len(images) + frames] = quantiser.levels(values)
+        for number, view in enumerate(views, 1):
+            values = features.values(view(images[frames]), view(images[before[frames]]))
+            levels[:, number * len(images) + frames] = quantiser.levels(values)
     return SortedLevels.unsorted(levels)

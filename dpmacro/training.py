@@ -5,6 +5,7 @@ switch functions are fitted on them; a policy, its segmentation, pictures and Te
 """
 
 import functools
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from tqdm import tqdm
 from dpmacro import figures
 from dpmacro.alignment import fit_aligned
 from dpmacro.choosing import Choice, choose
-from dpmacro.columns import Plan, prepare, with_mirror_images
+from dpmacro.columns import Plan, prepare, with_views
 from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
@@ -39,6 +40,7 @@ from dpmacro.recovery import Stretches
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
 from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
+from dpmacro.views import View, other_views
 
 __all__ = ["Trainer", "TrainingResult", "plain_options"]
 
@@ -183,7 +185,7 @@ class Trainer:
         most = max(macros for macros, _ in self._settings)
         copies = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
         tables = TABLES * 4 * copies * most * (int(self.actions.max()) + 1)
-        tables += features.count * planner.switch_mirror  # levels of mirror images
+        tables += features.count * len(self._views)  # their levels
         image_bytes = self.demonstrations.images[0].size
         return features, Plan.fitting(n_frames, image_bytes, features.count, tables, planner.memory_limit)
 
@@ -216,25 +218,32 @@ class Trainer:
         planner = self.options.planner
         drawn = planner.drawn or self.plan.drawn
         stumps = StumpLearner(data, min(drawn, self.plan.drawn or drawn), planner.reuse)
-        return self._of_kind(planner.learner, planner.rounds, stumps, 1)
+        return self._of_kind(planner.learner, planner.rounds, stumps, [])
 
     def _switch_learner(
         self, data: SortedLevels, features: FeatureSet, quantiser: Quantiser, macros: int
     ) -> WeakLearner:
-        """The weak learner of the switch functions, of mirror images, too, if they are not there already."""
-        planner, copies = self.options.planner, 1
-        if planner.switch_mirror and macros > 1 and not self.demonstrations.mirror_images:
-            data, copies = with_mirror_images(data, self._images, self.lengths, features, quantiser), 2
+        """The weak learner of the switch functions, of other views of the frames, too."""
+        planner, views = self.options.planner, self._views if macros > 1 else []
+        if views:
+            data = with_views(data, self._images, self.lengths, features, quantiser, views)
         stumps = StumpLearner(data, planner.switch_drawn)
-        return self._of_kind(planner.switch_learner, planner.switch_rounds, stumps, copies)
+        return self._of_kind(planner.switch_learner, planner.switch_rounds, stumps, views)
 
-    def _of_kind(self, kind: str, rounds: int, stumps: StumpLearner, copies: int) -> WeakLearner:
+    @property
+    def _views(self) -> list[View]:
+        """What switch functions see beside the demonstrations, which may hold mirror images already."""
+        planner, width = self.options.planner, self.demonstrations.images.shape[2]
+        mirror = planner.switch_mirror and not self.demonstrations.mirror_images
+        return other_views(mirror, round(planner.switch_shift * width))
+
+    def _of_kind(self, kind: str, rounds: int, stumps: StumpLearner, views: Sequence[View]) -> WeakLearner:
         """The learner of that name; a mixed one turns to networks after `rounds`."""
         if kind == "stumps":
             return stumps
         images, before = self._images, frames_before(self.lengths.to(self._images.device))
-        if copies == 2:
-            images, before = torch.cat([images, images.flip(2)]), torch.cat([before, before + len(before)])
+        before = torch.cat([before + number * len(images) for number in range(1 + len(views))])
+        images = torch.cat([images, *(view(images) for view in views)])
         networks = ConvNetLearner(images, before, epochs=self.options.planner.convnet.epochs)
         return networks if kind == "convnet" else InTurn(stumps, rounds, networks)
 

@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpmacro import columns
-from dpmacro.columns import GIB, LEAST_COLUMNS, LIBRARIES, Plan, prepare, with_mirror_images
+from dpmacro.columns import GIB, LEAST_COLUMNS, LIBRARIES, Plan, prepare, with_views
 from dpmacro.features import make_features, previous_images
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.quantising import Quantiser
+from dpmacro.views import mirrored, other_views, shifted
 
 
 def test_the_sizes_of_the_goal():
@@ -98,14 +99,14 @@ def test_columns_that_do_not_fit_are_left_out_at_random():
 
 @pytest.mark.parametrize("kind", ["pixels", "rectangles"])
 @pytest.mark.parametrize("at_a_time", [2**26, 1000])
-def test_mirror_images_come_after_the_frames(monkeypatch, kind, at_a_time):
+def test_views_come_after_the_frames(monkeypatch, kind, at_a_time):
     images, lengths = example()
     features = make_features(kind, 12, 16, 70, torch.Generator().manual_seed(1))
     plan = Plan(features.count, features.count, 0, 1.0)
     _, quantiser, data = prepare(images, lengths, features, plan, torch.Generator())
     monkeypatch.setattr(columns, "VALUES", at_a_time)
-    both = with_mirror_images(data, images, lengths, features, quantiser)
-    flipped = images.flip(2)
-    values = features.values(flipped, previous_images(flipped, lengths))
-    assert torch.equal(both.levels, torch.cat([data.levels, quantiser.levels(values)], 1))
-    assert not torch.equal(both.levels[:, :90], both.levels[:, 90:]) and len(both.columns) == 0
+    seen = with_views(data, images, lengths, features, quantiser, other_views(True, 3))
+    aside = (mirrored(images), shifted(images, -3), shifted(images, 3))
+    others = [quantiser.levels(features.values(view, previous_images(view, lengths))) for view in aside]
+    assert torch.equal(seen.levels, torch.cat([data.levels, *others], 1)) and len(seen.columns) == 0
+    assert len({part.numpy().tobytes() for part in seen.levels.split(90, 1)}) == 4

@@ -165,7 +165,8 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
     monkeypatch.setattr("dpmacro.columns.LEAST_COLUMNS", 20)
     frames, height, width, _ = Demonstrations.load(recorded).images.shape
     tables = TABLES * 4 * 2 * (FINALISTS + LEADERS) * FOLDS * 3  # 2 macro-actions, 3 actions
-    limit = frames * (3 * height * width + tables + 150 + 4 * 100) / GIB
+    levels = 150 * 4  # of the frames and of three other views
+    limit = frames * (3 * height * width + tables + levels + 4 * 100) / GIB
     monkeypatch.setattr("dpmacro.columns.VALUES", 1000)
     monkeypatch.setattr("dpmacro.columns.SAMPLED", 10)
     options = [f"--planner.memory_limit={limit:.9f}", *SMALL]
@@ -191,6 +192,10 @@ MISTAKES = {
         "planner.macros is 'two': give a number, or auto",
     ),
     "too few to try": (["--dataset.root={data}", "--planner.max_macros=1"], "planner.max_macros is 1"),
+    "images shifted out of sight": (
+        ["--dataset.root={data}", "--planner.switch_shift=1"],
+        "planner.switch_shift is 1",
+    ),
     "negative switch weight": (
         ["--dataset.root={data}", "--planner.switch_weight=-1"],
         "planner.switch_weight is -1",
