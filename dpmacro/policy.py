@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
-from jaxtyping import Bool, Int64, UInt8
+from jaxtyping import Bool, Float, Int64, UInt8
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
@@ -75,6 +75,7 @@ class PolicyState:
 
     macro: Int64[Tensor, " batch"]
     action: Int64[Tensor, " batch"]  # done last, -1 before the first
+    scores: Float[Tensor, "batch actions"] | None = None  # of which it had the highest
     previous: UInt8[Tensor, "batch height width 3"] | None = None  # None before the first frame
     restarted: Bool[Tensor, " batch"] | None = None  # environments whose next frame is their first
 
@@ -131,7 +132,8 @@ class MacroPolicy:
         """The state where the environments of `which` begin anew while the others run on."""
         macro = torch.where(which, self.config.first_macro, state.macro)
         restarted = which if state.restarted is None else state.restarted | which
-        return PolicyState(macro, torch.where(which, -1, state.action), state.previous, restarted)
+        action = torch.where(which, -1, state.action)
+        return PolicyState(macro, action, state.scores, state.previous, restarted)
 
     @torch.inference_mode()
     def act(
@@ -152,9 +154,9 @@ class MacroPolicy:
         levels = self.quantiser.levels(self.features.values(images, previous))
         frames = Frames(levels, images, previous)
         macro = self._switch(frames, state)
-        scores = self.actor.scores(frames)
-        actions = scores[torch.arange(len(macro), device=macro.device), macro].argmax(1)
-        return actions, PolicyState(macro, actions, images)
+        scores = self.actor.scores(frames)[torch.arange(len(macro), device=macro.device), macro]
+        actions = scores.argmax(1)
+        return actions, PolicyState(macro, actions, scores, images)
 
     def _switch(self, frames: Frames, state: PolicyState) -> Int64[Tensor, " batch"]:
         macro = state.macro
@@ -264,11 +266,10 @@ class MacroPlanner:
         """The action for the frame that the environment shows now."""
         images, before = torch.from_numpy(observation["pixels"])[None], self._state.previous
         actions, self._state = self.policy.act(images.to(self.policy.device), self._state)
-        action = int(actions[0])
-        if self._recovery is None:
-            return action
+        if self._recovery is None or self._state.scores is None:
+            return int(actions[0])
         seen = images if before is None else torch.cat([images, before.cpu()])
-        action = self._recovery.act(seen.numpy().tobytes(), self.macro, action)
+        action = self._recovery.act(seen.numpy().tobytes(), self.macro, self._state.scores[0].cpu().numpy())
         self.took(action)
         return action
 

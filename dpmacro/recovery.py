@@ -1,8 +1,10 @@
-"""What a planner in trouble does: as a demonstrator did once, for a stretch, whatever it sees.
+"""What a planner in trouble does: its least certain decision the other way, then on like a demonstrator.
 
 A planner that sees exactly what it saw before in the same macro-action will do what it did before, and so on
-for ever. It replays the actions of a random stretch of that macro-action in the demonstrations, from a random
-frame to the end of the segment, and so looks at the world from elsewhere. Its switch functions stay on watch.
+for ever. Of the decisions on that circle the one nearest to a tie is doubted most: in a turn without end, the
+one that faces a flag too far away to be recognised. There it takes the action that came second, and replays
+what a demonstrator did who took that action for the first time in the macro-action, to the end of a random
+segment. Its switch functions stay on watch.
 """
 
 import hashlib
@@ -11,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Int64, UInt8
+from jaxtyping import Float, Int64, UInt8
 from torch import Tensor
 
 from dpmacro.switching import macro_segments
@@ -76,7 +78,8 @@ class Recovery:
 
     def __init__(self, stretches: Stretches, macros: int) -> None:
         self._segments = [stretches.of_macro(macro) for macro in range(macros)]
-        self._seen: set[bytes] = set()  # digests of what was seen in the macro-action
+        self._decisions: dict[bytes, tuple[float, int]] = {}  # digest of what was seen -> lead, second action
+        self._ahead: list[tuple[float, int]] = []  # decisions up to the doubted one, which comes first
         self._stretch: list[int] = []  # actions still to replay, the next one last
         self.reset()
 
@@ -90,31 +93,49 @@ class Recovery:
         """Whether the last action was a demonstrator's."""
         return self._replaying
 
-    def act(self, seen: bytes, macro: int, action: int) -> int:
+    def act(self, seen: bytes, macro: int, scores: Float[np.ndarray, " actions"]) -> int:
         """The action to take.
 
         Args:
             seen: all that the planner's decision depends on beside its macro-action.
             macro: its macro-action, 0..Q-1.
-            action: what it would do.
+            scores: of every action, of which it would take the highest.
         """
         if macro != self._macro:
             self._enter(macro)
-        if not self._stretch:
-            digest = hashlib.blake2b(seen, digest_size=16).digest()
-            if digest in self._seen and self._segments[macro]:
-                self._stretch = self._draw(self._segments[macro])
-            self._seen.add(digest)
+        if not self._stretch and len(scores) > 1:
+            self._watch(hashlib.blake2b(seen, digest_size=16).digest(), scores)
         self._replaying = bool(self._stretch)
-        return self._stretch.pop() if self._stretch else action
+        return self._stretch.pop() if self._stretch else int(scores.argmax())
 
     def _enter(self, macro: int) -> None:
         self._macro, self._replaying = macro, False
-        self._seen.clear()
+        self._forget()
         self._stretch.clear()
 
-    def _draw(self, segments: list[UInt8[np.ndarray, " _"]]) -> list[int]:
-        """A segment, the longer the likelier, from a frame on; the next action last."""
-        frames = np.array([len(segment) for segment in segments])
-        segment = segments[self._generator.choice(len(segments), p=frames / frames.sum())]
-        return segment[self._generator.integers(len(segment)) :][::-1].tolist()
+    def _forget(self) -> None:
+        self._decisions.clear()
+        self._ahead.clear()
+
+    def _watch(self, digest: bytes, scores: Float[np.ndarray, " actions"]) -> None:
+        """Take note of a decision; on a circle, begin a stretch where its most doubted one is made."""
+        if digest not in self._decisions:
+            second, first = scores.argsort(kind="stable")[-2:].tolist()
+            self._decisions[digest] = float(scores[first] - scores[second]), second
+            self._ahead.clear()
+            return
+        if not self._ahead:
+            circle = list(self._decisions.values())[list(self._decisions).index(digest) :]
+            self._ahead = circle[: circle.index(min(circle)) + 1][::-1]
+        _, second = self._ahead.pop()
+        if not self._ahead:
+            self._stretch = self._draw(second)
+            self._forget()
+
+    def _draw(self, action: int) -> list[int]:
+        """A segment of the macro-action from its first frame with that action on; the next action last."""
+        segments = [own for own in self._segments[self._macro] if (own == action).any()]
+        if not segments:
+            return [action]
+        segment = segments[self._generator.integers(len(segments))]
+        return segment[int((segment == action).argmax()) :][::-1].tolist()

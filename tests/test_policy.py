@@ -102,7 +102,7 @@ def test_a_switch_function_fires_only_right_after_its_cues():
     eager = replace(policy.config, thresholds=(-100.0, -100.0), cues=((2,), (0, 1)))
     policy = replace(policy, config=eager)
     for macro, action in itertools.product((0, 1), (-1, 0, 1, 2)):
-        state = PolicyState(torch.tensor([macro]), torch.tensor([action]), images[:1])
+        state = PolicyState(torch.tensor([macro]), torch.tensor([action]), previous=images[:1])
         changes = action in ((2,), (0, 1))[macro]
         assert int(policy.act(images[1:2], state)[1].macro) == (1 - macro if changes else macro)
 

@@ -36,38 +36,62 @@ def test_too_many_actions_for_a_byte_are_refused():
         Stretches.of(torch.zeros(2, dtype=torch.int64), torch.tensor([0, 256]), torch.tensor([2]))
 
 
+def scores(first, second, lead=1.0):
+    """Of actions 0..2, as a planner would have them."""
+    found = np.full(3, -5.0, np.float32)
+    found[first], found[second] = 1.0, 1.0 - lead
+    return found
+
+
 def test_what_is_new_is_left_to_the_planner(stretches):
     recovery = Recovery(stretches, 2)
-    assert [recovery.act(bytes([frame]), 0, 7) for frame in range(3)] == [7, 7, 7]
+    assert [recovery.act(bytes([frame]), 0, scores(2, 0)) for frame in range(3)] == [2, 2, 2]
     assert not recovery.replaying
 
 
-def test_what_was_seen_before_starts_a_stretch_to_the_end_of_a_segment(stretches):
+def test_the_most_doubted_decision_of_a_circle_is_taken_the_other_way(stretches):
+    """Frame 0 leads into a circle of 1, 2, 3 and 4, of which 3 is nearest to a tie."""
     recovery = Recovery(stretches, 2)
-    recovery.act(b"a", 1, 7)
-    done = [recovery.act(b"a", 1, 7)]
-    assert recovery.replaying
-    assert done == [2]
+    leads = {0: 0.1, 1: 3.0, 2: 4.0, 3: 0.5, 4: 2.0}
+    for frame in [0, 1, 2, 3, 4, 1, 2]:
+        assert recovery.act(bytes([frame]), 0, scores(2, 1, leads[frame])) == 2
+        assert not recovery.replaying
+    done = [recovery.act(bytes([3]), 0, scores(2, 1, leads[3]))]
     while recovery.replaying:
-        done.append(recovery.act(bytes([len(done)]), 1, 7))
-    assert done in ([2, 7], [2, 2, 7])
+        done.append(recovery.act(b"elsewhere", 0, scores(2, 1)))
+    assert done in ([1, 1, 0, 2], [1, 2])  # from the first 1 of a segment to its end
+
+
+def test_who_leaves_the_circle_is_not_held_to_it(stretches):
+    recovery = Recovery(stretches, 2)
+    leads = {0: 3.0, 1: 2.0, 2: 1.0}
+    for frame in [0, 1, 2, 0, 1]:
+        recovery.act(bytes([frame]), 0, scores(2, 1, leads[frame]))
+    for frame in [7, 1]:  # frame 2 is doubted, and still to come
+        assert recovery.act(bytes([frame]), 0, scores(2, 1)) == 2 and not recovery.replaying
+
+
+def test_an_action_that_no_demonstrator_took_is_taken_once(stretches):
+    recovery = Recovery(stretches, 2)
+    done = [recovery.act(b"a", 1, scores(2, 0)) for _ in range(4)]
+    assert done == [2, 0, 2, 0]
 
 
 def test_the_same_sight_in_another_macro_action_is_new(stretches):
     recovery = Recovery(stretches, 2)
-    assert [recovery.act(b"a", macro, 7) for macro in (0, 1, 0)] == [7, 7, 7]
+    assert [recovery.act(b"a", macro, scores(2, 0)) for macro in (0, 1, 0)] == [2, 2, 2]
 
 
 def test_another_macro_action_ends_a_stretch(stretches):
     recovery = Recovery(stretches, 2)
     while not recovery.replaying:
-        recovery.act(b"a", 0, 7)
-    assert recovery.act(b"b", 1, 7) == 7
+        recovery.act(b"a", 0, scores(2, 1))
+    assert recovery.act(b"b", 1, scores(2, 0)) == 2
 
 
-def test_a_macro_action_without_segments_is_left_alone(stretches):
-    recovery = Recovery(stretches, 3)
-    assert [recovery.act(b"a", 2, 7) for _ in range(5)] == [7] * 5
+def test_where_there_is_one_action_there_is_no_other(stretches):
+    recovery = Recovery(stretches, 2)
+    assert [recovery.act(b"a", 0, np.zeros(1, np.float32)) for _ in range(5)] == [0] * 5
 
 
 def test_every_episode_draws_the_same(stretches):
@@ -75,16 +99,16 @@ def test_every_episode_draws_the_same(stretches):
     runs = []
     for _ in range(2):
         recovery.reset()
-        runs.append([recovery.act(b"a", 0, 7) for _ in range(40)])
+        runs.append([recovery.act(b"a", 0, scores(2, 1)) for _ in range(40)])
     assert runs[0] == runs[1]
 
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 1)), max_size=60))
-def test_only_actions_of_the_macro_action_or_the_planner_are_taken(steps):
+def test_the_planner_decides_or_a_demonstrator_of_the_macro_action(steps):
     stretches = Stretches.of(LABELS, ACTIONS, LENGTHS)
     recovery = Recovery(stretches, 2)
     known = [set(np.concatenate(stretches.of_macro(macro)).tolist()) for macro in range(2)]
     for sight, macro in steps:
-        action = recovery.act(bytes([sight]), macro, 7)
-        assert action in known[macro] if recovery.replaying else action == 7
+        action = recovery.act(bytes([sight]), macro, scores(2, 1))
+        assert action in {1, *known[macro]} if recovery.replaying else action == 2
