@@ -4,15 +4,12 @@ Demonstrations become sorted levels once; DPBoost (with one macro-action it is t
 switch functions are fitted on them; a policy, its segmentation, pictures and TensorBoard events are saved.
 """
 
-import functools
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from jaxtyping import Int64
-from matplotlib.figure import Figure
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
@@ -20,18 +17,14 @@ from tqdm import tqdm
 from dpmacro import figures
 from dpmacro.alignment import fit_aligned
 from dpmacro.choosing import Choice, choose
-from dpmacro.columns import Plan, prepare, with_views
+from dpmacro.columns import Plan, prepare
 from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
-from dpmacro.features import FeatureSet, frames_before, make_features
-from dpmacro.gallery import chosen_pixels, mean_images
+from dpmacro.features import FeatureSet, make_features
 from dpmacro.joint import change_log_odds
 from dpmacro.learners import WeakLearner
-from dpmacro.learners.convnet import ConvNetLearner
-from dpmacro.learners.ensemble import InTurn
 from dpmacro.learners.sorting import SortedLevels
-from dpmacro.learners.stumps import StumpLearner
 from dpmacro.monitor import Monitor
 from dpmacro.options import PlannerOptions, TrainOptions
 from dpmacro.policy import MacroPolicy, PolicyConfig
@@ -40,7 +33,9 @@ from dpmacro.recovery import Stretches
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
 from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
-from dpmacro.views import View, other_views
+from dpmacro.training_pictures import TrainingPictures
+from dpmacro.views import View
+from dpmacro.weak_learners import WeakLearners, rounds_of, shrinkage_of, views_of
 
 __all__ = ["Trainer", "TrainingResult", "plain_options"]
 
@@ -97,6 +92,8 @@ class Trainer:
             raise ValueError(f"images are {height}x{width}: networks need 2x2 pixels at least, use stumps")
         self._generator = torch.Generator().manual_seed(options.seed)
         self._features, self.plan = self._plan()
+        self._images = torch.from_numpy(demonstrations.images).to(options.device)
+        self._learners = WeakLearners(options.planner, self._images, self.lengths, self.plan.drawn)
 
     def train(self, start: Int64[Tensor, " frames"] | None = None) -> TrainingResult:
         """Prepare features, discover macro-actions, fit switch functions, save.
@@ -113,14 +110,16 @@ class Trainer:
             if start is not None and macros > 1:
                 known = dpboost.adopt(*given, start, monitor.on_round, self._groups)
             discovery = dpboost.fit(*given, monitor.on_round, self._groups, known)
-            learner = self._switch_learner(data, features, quantiser, discovery.macros)
+            views = self._views if discovery.macros > 1 else []
+            learner = self._learners.for_switches(data, features, quantiser, views)
             labels, switches = fit_aligned(
                 lambda moved: self._fit_switches(learner, moved, monitor), discovery.labels, self.lengths
             )
             discovery = replace(discovery, labels=labels)
             monitor.close()
             policy = self._policy(features, quantiser, discovery, switches)
-            self._report(writer, policy, discovery, switches)
+            pictures = TrainingPictures(writer, self.folder.figures)
+            pictures.show(self.demonstrations, policy, discovery, switches)
         options = plain_options(self.options)
         lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
         labels = discovery.labels[: int(lengths.sum())]
@@ -137,8 +136,8 @@ class Trainer:
             self.lengths,
             torch.Generator().manual_seed(self.options.seed),
             window=planner.switch_window,
-            rounds=self._rounds(planner.switch_learner, planner.switch_rounds),
-            shrinkage=self._shrinkage(planner.switch_learner, planner.switch_shrinkage),
+            rounds=rounds_of(planner, planner.switch_learner, planner.switch_rounds),
+            shrinkage=shrinkage_of(planner, planner.switch_learner, planner.switch_shrinkage),
             early_stopping=planner.early_stopping,
             groups=self._groups,
             on_round=monitor.on_round,
@@ -150,13 +149,13 @@ class Trainer:
         return DPBoost(
             macros,
             max_transitions,
-            self._rounds(planner.learner, planner.rounds),
-            self._learner,
+            rounds_of(planner, planner.learner, planner.rounds),
+            self._learners.for_classifiers,
             restarts=planner.restarts,
             seed=self.options.seed,
             device=self.options.device,
             shrinkage=planner.shrinkage,
-            fit_shrinkage=self._shrinkage(planner.learner, planner.shrinkage),
+            fit_shrinkage=shrinkage_of(planner, planner.learner, planner.shrinkage),
             switch_weight=planner.switch_weight,
             early_stopping=planner.early_stopping,
         )
@@ -174,7 +173,7 @@ class Trainer:
             monitor.close()
         choice = choose(searches)
         chart = figures.selection_chart(choice.points, choice.place, "How many macro-actions?")
-        self._show(writer, "selection", chart)
+        TrainingPictures(writer, self.folder.figures).add("selection", chart)
         return choice
 
     def _plan(self) -> tuple[FeatureSet, Plan]:
@@ -201,51 +200,10 @@ class Trainer:
         n_originals = len(self.lengths) - self.demonstrations.mirror_images
         return torch.arange(len(self.lengths)) % n_originals
 
-    @functools.cached_property
-    def _images(self) -> Tensor:
-        return torch.from_numpy(self.demonstrations.images).to(self.options.device)
-
-    def _rounds(self, kind: str, rounds: int) -> int:
-        """Boosting rounds in all, of which `rounds` are those of stumps."""
-        networks = self.options.planner.convnet.rounds
-        return {"stumps": rounds, "convnet": networks, "mixed": rounds + networks}[kind]
-
-    def _shrinkage(self, kind: str, shrinkage: float) -> float:
-        return self.options.planner.convnet.shrinkage if kind == "convnet" else shrinkage
-
-    def _learner(self, data: SortedLevels) -> WeakLearner:
-        """The weak learner of the strong classifiers."""
-        planner = self.options.planner
-        drawn = planner.drawn or self.plan.drawn
-        stumps = StumpLearner(data, min(drawn, self.plan.drawn or drawn), planner.reuse)
-        return self._of_kind(planner.learner, planner.rounds, stumps, [])
-
-    def _switch_learner(
-        self, data: SortedLevels, features: FeatureSet, quantiser: Quantiser, macros: int
-    ) -> WeakLearner:
-        """The weak learner of the switch functions, of other views of the frames, too."""
-        planner, views = self.options.planner, self._views if macros > 1 else []
-        if views:
-            data = with_views(data, self._images, self.lengths, features, quantiser, views)
-        stumps = StumpLearner(data, planner.switch_drawn)
-        return self._of_kind(planner.switch_learner, planner.switch_rounds, stumps, views)
-
     @property
     def _views(self) -> list[View]:
-        """What switch functions see beside the demonstrations, which may hold mirror images already."""
-        planner, width = self.options.planner, self.demonstrations.images.shape[2]
-        mirror = planner.switch_mirror and not self.demonstrations.mirror_images
-        return other_views(mirror, round(planner.switch_shift * width))
-
-    def _of_kind(self, kind: str, rounds: int, stumps: StumpLearner, views: Sequence[View]) -> WeakLearner:
-        """The learner of that name; a mixed one turns to networks after `rounds`."""
-        if kind == "stumps":
-            return stumps
-        images, before = self._images, frames_before(self.lengths.to(self._images.device))
-        before = torch.cat([before + number * len(images) for number in range(1 + len(views))])
-        images = torch.cat([images, *(view(images) for view in views)])
-        networks = ConvNetLearner(images, before, epochs=self.options.planner.convnet.epochs)
-        return networks if kind == "convnet" else InTurn(stumps, rounds, networks)
+        width, mirrored = self.demonstrations.images.shape[2], self.demonstrations.mirror_images > 0
+        return views_of(self.options.planner, width, mirrored)
 
     def _policy(
         self,
@@ -278,50 +236,6 @@ class Trainer:
         learned = discovery.classifiers, switches.classifier
         return MacroPolicy.compact(config, features, quantiser, *learned, stretches)
 
-    def _report(
-        self, writer: SummaryWriter, policy: MacroPolicy, discovery: DPBoostResult, switches: SwitchFunctions
-    ) -> None:
-        """Pictures of the segmentation, in TensorBoard and as PNG, and what left-out trajectories said."""
-        demonstrations = self.demonstrations
-        labels, sure = discovery.labels.numpy(), discovery.confidence.numpy()
-        first = slice(0, int(demonstrations.lengths[0]))
-        truth, names = demonstrations.truth, (demonstrations.truth_name, demonstrations.truth_classes)
-        timeline = figures.timeline(
-            demonstrations.images[first],
-            labels[first],
-            demonstrations.actions[first],
-            None if truth is None else truth[first],
-            f"Demonstration 0: {discovery.macros} macro-actions",
-            demonstrations.action_names,
-            *names,
-            sure[first],
-        )
-        title = "All demonstrations"
-        self._show(writer, "timeline", timeline)
-        self._show(writer, "objective", figures.curves(_loss_panels(discovery), "Objective per frame"))
-        every = figures.timelines(labels, demonstrations.lengths, truth, title, *names, sure)
-        self._show(writer, "segmentation", every)
-        self._show(writer, "transitions", figures.transition_graph(labels, demonstrations.lengths))
-        weights = chosen_pixels(policy)
-        if weights is not None:
-            means = mean_images(demonstrations.images, labels, discovery.macros)
-            self._show(
-                writer, "pixels", figures.heat_maps(means, weights, title="Pixels that stumps look at")
-            )
-        search = discovery.search
-        if search is not None:
-            elbow = figures.elbow(search.cost_by_bound.numpy(), search.max_transitions, "Left-out data")
-            self._show(writer, "elbow", elbow)
-            for rival, verdict in enumerate(search.verdicts):
-                for name, value in asdict(verdict).items():
-                    writer.add_scalar(f"selection/{name}", value, rival)
-        for (source, target), share in zip(switches.pairs, switches.detected.tolist(), strict=True):
-            writer.add_scalar(f"switch/detected_{source}_to_{target}", share)
-
-    def _show(self, writer: SummaryWriter, name: str, figure: Figure) -> None:
-        figures.save(figure, self.folder.figures / f"{name}.png")
-        writer.add_image(f"figures/{name}", figures.to_image(figure), dataformats="HWC")
-
 
 def _settings(planner: PlannerOptions) -> list[tuple[int, int]]:
     """Q and S of every search that the options ask for; where there is a choice, one macro-action first."""
@@ -333,16 +247,6 @@ def _settings(planner: PlannerOptions) -> list[tuple[int, int]]:
     numbers = range(2, planner.max_macros + 1)
     bounds = {macros: (macros - 1, 2 * (macros - 1)) if given is None else (given,) for macros in numbers}
     return [(1, 0), *((macros, bound) for macros in numbers for bound in bounds[macros])]
-
-
-def _loss_panels(discovery: DPBoostResult) -> dict[str, dict[str, list[float]]]:
-    """The objective of the exact fit, and of the six best restarts."""
-    panels = {"exact fit": {"exact fit": discovery.loss.tolist()}}
-    if discovery.search is not None:
-        losses = discovery.search.candidates.loss
-        best = losses[-1].argsort()[:6].tolist()
-        panels["discovery"] = {f"restart {k}": losses[:, k].tolist() for k in best}
-    return panels
 
 
 def plain_options(options: TrainOptions) -> dict[str, Any]:
