@@ -63,7 +63,7 @@ class PolicyOptions:
     type: str | None = None
     """`teacher` for the teacher, instead of a path."""
     recovery: bool = True
-    """Whether a policy that turns in circles replays a stretch of a demonstration."""
+    """Whether a policy that turns in circles takes its most doubted decision the other way."""
 
 
 @dataclass(frozen=True)

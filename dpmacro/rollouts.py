@@ -49,7 +49,7 @@ class PlannerSource:
     Attributes:
         kind: "teacher", or "policy" for a saved `MacroPolicy`.
         path: folder of the saved policy; None for the teacher.
-        recovery: whether a policy that is in trouble may replay demonstrations (dpmacro/recovery.py).
+        recovery: whether a policy that turns in circles gets itself out of them (dpmacro/recovery.py).
     """
 
     kind: str
