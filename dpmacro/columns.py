@@ -2,7 +2,8 @@
 
 A level takes a byte a column and frame, its place in the sorted order four more. Where sorted columns do not
 fit, levels alone are held and boosting sorts as many random columns as fit, drawn anew every few rounds;
-where the levels of all columns do not fit either, random columns of the feature set are left out.
+where the levels of all columns do not fit either, random columns of the feature set are left out. The
+views that switch functions learn from take as much as the frames, each.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,7 +47,14 @@ class Plan:
 
     @classmethod
     def fitting(
-        cls, n_frames: int, image_bytes: int, n_columns: int, table_bytes: int, limit: float
+        cls,
+        n_frames: int,
+        image_bytes: int,
+        n_columns: int,
+        table_bytes: int,
+        limit: float,
+        views: int = 0,
+        switch_bytes: int = 0,
     ) -> "Plan":
         """The richest plan within `limit` GiB: first all columns sorted, then all columns, then most of them.
 
@@ -55,6 +63,9 @@ class Plan:
             image_bytes: of one frame.
             n_columns: of the feature set.
             table_bytes: scores, losses and weights of one frame while boosting.
+            limit: GiB.
+            views: other views of every frame that switch functions learn from, after that.
+            switch_bytes: scores, losses and weights of one frame in all views, meanwhile.
 
         Raises ValueError with the least limit where there is no room for `LEAST_COLUMNS` columns.
         """
@@ -63,8 +74,11 @@ class Plan:
         quantising = sampled + 4 * min(VALUES, n_columns * n_frames)
         boosting = n_frames * table_bytes
 
+        switching = n_frames * switch_bytes
+
         def most(columns: int, drawn: int, each: int = DRAWN) -> float:
-            return (fixed + columns * n_frames + max(quantising, boosting + each * drawn * n_frames)) / GIB
+            then = boosting + each * drawn * n_frames, switching + views * columns * n_frames
+            return (fixed + columns * n_frames + max(quantising, *then)) / GIB
 
         if (whole := most(n_columns, n_columns, SORTED)) <= limit:
             return cls(n_columns, n_columns, 0, whole)
@@ -74,8 +88,11 @@ class Plan:
                 f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at least"
             )
         room = limit * GIB - fixed
-        kept = int((room - max(quantising, boosting + DRAWN * least * n_frames)) / n_frames)
-        columns = min(max(kept, least), n_columns)
+        kept = (
+            int((room - max(quantising, boosting + DRAWN * least * n_frames)) / n_frames),
+            int((room - switching) / ((1 + views) * n_frames)),
+        )
+        columns = min(max(min(kept), least), n_columns)
         drawn = int((room - boosting - columns * n_frames) / (DRAWN * n_frames))
         drawn = min(max(drawn, least), columns)
         return cls(columns, n_columns, drawn, most(columns, drawn))

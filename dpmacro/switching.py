@@ -29,8 +29,8 @@ __all__ = [
     "starting_macro",
 ]
 
-
 COVERED = 0.75  # of the changes, by their cues
+FOLDS = 5  # of trajectories, of which each function leaves out one
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def fit_switches(
     window: int = 3,
     rounds: int = 60,
     shrinkage: float = 0.2,
-    folds: int = 5,
+    folds: int = FOLDS,
     early_stopping: bool = False,
     groups: Int64[Tensor, " trajectories"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,

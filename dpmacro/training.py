@@ -32,6 +32,7 @@ from dpmacro.quantising import Quantiser
 from dpmacro.recovery import Stretches
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
+from dpmacro.switching import FOLDS as SWITCH_FOLDS
 from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
 from dpmacro.training_pictures import TrainingPictures
 from dpmacro.views import View
@@ -184,9 +185,10 @@ class Trainer:
         most = max(macros for macros, _ in self._settings)
         copies = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
         tables = TABLES * 4 * copies * most * (int(self.actions.max()) + 1)
-        tables += features.count * len(self._views)  # their levels
-        image_bytes = self.demonstrations.images[0].size
-        return features, Plan.fitting(n_frames, image_bytes, features.count, tables, planner.memory_limit)
+        views = len(self._views) if most > 1 else 0
+        switches = TABLES * 4 * (1 + views) * most * (most - 1) * (SWITCH_FOLDS + 1)
+        sizes = n_frames, self.demonstrations.images[0].size, features.count, tables, planner.memory_limit
+        return features, Plan.fitting(*sizes, views, switches)
 
     def _prepare(self) -> tuple[FeatureSet, Quantiser, SortedLevels]:
         """Features of every frame, quantised and, where memory allows, sorted."""

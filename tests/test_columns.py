@@ -19,6 +19,8 @@ def test_the_sizes_of_the_goal():
     large = Plan.fitting(200_000, 9216, 4096, 7680, 6.0)  # 2 macro-actions, 32 restarts, 3 actions
     assert large.columns == 4096 and LEAST_COLUMNS < large.drawn < 4096
     assert 512 <= Plan.fitting(200_000, 9216, 18_432, 7680, 5.0).columns < 18_432
+    seen = Plan.fitting(200_000, 9216, 4096, 7680, 6.0, views=3, switch_bytes=1920)
+    assert 3500 < seen.columns <= 4096
 
 
 @settings(deadline=None)
@@ -27,22 +29,28 @@ def test_the_sizes_of_the_goal():
     n_columns=st.integers(1, 20_000),
     table_bytes=st.integers(12, 10_000),
     limit=st.floats(0.7, 16),
+    views=st.integers(0, 3),
+    switch_bytes=st.integers(0, 2_000),
 )
-def test_a_plan_stays_within_the_limit_and_uses_what_there_is(n_frames, n_columns, table_bytes, limit):
+def test_a_plan_stays_within_the_limit_and_uses_what_there_is(
+    n_frames, n_columns, table_bytes, limit, views, switch_bytes
+):
     try:
-        plan = Plan.fitting(n_frames, 9216, n_columns, table_bytes, limit)
+        plan = Plan.fitting(n_frames, 9216, n_columns, table_bytes, limit, views, switch_bytes)
     except ValueError as error:
         assert f"memory_limit is {limit:g} GiB" in str(error)
-        least = 6 * min(LEAST_COLUMNS, n_columns)
-        assert n_frames * (9216 + table_bytes + least) > (limit - 1.6) * GIB
+        least = max(6, 1 + views) * min(LEAST_COLUMNS, n_columns)
+        assert n_frames * (9216 + max(table_bytes, switch_bytes) + least) > (limit - 1.6) * GIB
         return
     assert plan.gibibytes <= limit
     assert min(LEAST_COLUMNS, n_columns) <= plan.columns <= n_columns
     assert plan.drawn <= plan.columns
-    assert plan.gibibytes * GIB > LIBRARIES + n_frames * (9216 + plan.columns)
+    seen = (1 + views) * plan.columns
+    assert plan.gibibytes * GIB > LIBRARIES + n_frames * (9216 + max(seen, plan.columns + table_bytes))
     if plan.drawn:  # a column more, kept or drawn, would not fit
-        assert plan.columns == n_columns or plan.gibibytes + n_frames / GIB > limit
-        assert plan.drawn == plan.columns or plan.gibibytes + 5 * n_frames / GIB > limit
+        assert plan.columns == n_columns or plan.gibibytes + (1 + views) * n_frames / GIB > limit
+        boosting = plan.columns + table_bytes + 5 * (plan.drawn + 1)
+        assert plan.drawn == plan.columns or LIBRARIES + n_frames * (9216 + boosting) > limit * GIB
 
 
 def example(n_frames=90):

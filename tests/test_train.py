@@ -165,8 +165,7 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
     monkeypatch.setattr("dpmacro.columns.LEAST_COLUMNS", 20)
     frames, height, width, _ = Demonstrations.load(recorded).images.shape
     tables = TABLES * 4 * 2 * (FINALISTS + LEADERS) * FOLDS * 3  # 2 macro-actions, 3 actions
-    levels = 150 * 4  # of the frames and of three other views
-    limit = frames * (3 * height * width + tables + levels + 4 * 100) / GIB
+    limit = frames * (3 * height * width + tables + 150 + 4 * 100) / GIB
     monkeypatch.setattr("dpmacro.columns.VALUES", 1000)
     monkeypatch.setattr("dpmacro.columns.SAMPLED", 10)
     options = [f"--planner.memory_limit={limit:.9f}", *SMALL]
