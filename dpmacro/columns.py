@@ -3,10 +3,10 @@
 A level takes a byte a column and frame, its place in the sorted order four more. Where sorted columns do not
 fit, levels alone are held and boosting sorts as many random columns as fit, drawn anew every few rounds;
 where the levels of all columns do not fit either, random columns of the feature set are left out. The
-views that switch functions learn from take as much as the frames, each.
+mirror images that switch functions learn from take as much as the frames.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -16,9 +16,8 @@ from torch import Tensor
 from dpmacro.features import FeatureSet, frames_before
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.quantising import Quantiser
-from dpmacro.views import View
 
-__all__ = ["Plan", "prepare", "with_views"]
+__all__ = ["Plan", "prepare", "with_mirror_images"]
 
 GIB = 2**30
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
@@ -53,7 +52,7 @@ class Plan:
         n_columns: int,
         table_bytes: int,
         limit: float,
-        views: int = 0,
+        copies: int = 0,
         switch_bytes: int = 0,
     ) -> "Plan":
         """The richest plan within `limit` GiB: first all columns sorted, then all columns, then most of them.
@@ -64,8 +63,8 @@ class Plan:
             n_columns: of the feature set.
             table_bytes: scores, losses and weights of one frame while boosting.
             limit: GiB.
-            views: other views of every frame that switch functions learn from, after that.
-            switch_bytes: scores, losses and weights of one frame in all views, meanwhile.
+            copies: of every frame, like mirror images, that switch functions learn from besides, after that.
+            switch_bytes: scores, losses and weights of one frame and its copies, meanwhile.
 
         Raises ValueError with the least limit where there is no room for `LEAST_COLUMNS` columns.
         """
@@ -77,7 +76,7 @@ class Plan:
         switching = n_frames * switch_bytes
 
         def most(columns: int, drawn: int, each: int = DRAWN) -> float:
-            then = boosting + each * drawn * n_frames, switching + views * columns * n_frames
+            then = boosting + each * drawn * n_frames, switching + copies * columns * n_frames
             return (fixed + columns * n_frames + max(quantising, *then)) / GIB
 
         if (whole := most(n_columns, n_columns, SORTED)) <= limit:
@@ -90,7 +89,7 @@ class Plan:
         room = limit * GIB - fixed
         kept = (
             int((room - max(quantising, boosting + DRAWN * least * n_frames)) / n_frames),
-            int((room - switching) / ((1 + views) * n_frames)),
+            int((room - switching) / ((1 + copies) * n_frames)),
         )
         columns = min(max(min(kept), least), n_columns)
         drawn = int((room - boosting - columns * n_frames) / (DRAWN * n_frames))
@@ -140,19 +139,17 @@ def prepare(
     return features, Quantiser(torch.cat(cuts)), data
 
 
-def with_views(
+def with_mirror_images(
     data: SortedLevels,
     images: UInt8[Tensor, "frames height width 3"],
     lengths: Int64[Tensor, " trajectories"],
     features: FeatureSet,
     quantiser: Quantiser,
-    views: Sequence[View],
 ) -> SortedLevels:
-    """The levels of all frames, then those of all frames in each of the views; none sorted."""
+    """The levels of all frames, then those of their mirror images, left and right exchanged; none sorted."""
     before = frames_before(lengths.to(images.device))
-    levels = data.levels.repeat(1, 1 + len(views))
+    levels = torch.cat([data.levels, torch.empty_like(data.levels)], 1)
     for frames in torch.arange(len(images), device=images.device).split(max(VALUES // features.count, 1)):
-        for number, view in enumerate(views, 1):
-            values = features.values(view(images[frames]), view(images[before[frames]]))
-            levels[:, number * len(images) + frames] = quantiser.levels(values)
+        values = features.values(images[frames].flip(2), images[before[frames]].flip(2))
+        levels[:, len(images) + frames] = quantiser.levels(values)
     return SortedLevels.unsorted(levels)

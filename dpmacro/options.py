@@ -112,8 +112,6 @@ class PlannerOptions:
     """Random columns that a round of stumps searches for them."""
     switch_mirror: bool = True
     """Whether they learn from mirror images, too: they look, and need no mirrored actions."""
-    switch_shift: float = 0.1
-    """Share of the width by which images are shifted left and right for them to learn from; 0 for none."""
     switch_shrinkage: float = 0.2
     """Factor on every weak hypothesis of a switch function."""
 
@@ -137,10 +135,6 @@ class PlannerOptions:
             raise ValueError(f"planner.macros is {self.macros}: give 1 or more, or auto")
         if self.max_macros < 2:
             raise ValueError(f"planner.max_macros is {self.max_macros}: give 2 or more")
-        if not 0 <= self.switch_shift < 1:
-            raise ValueError(
-                f"planner.switch_shift is {self.switch_shift}: give a share of the width, 0 for none, below 1"
-            )
         if not 0 <= self.switch_weight < float("inf"):
             raise ValueError(f"planner.switch_weight is {self.switch_weight}: give 0 or more")
         counts = (

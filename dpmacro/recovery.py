@@ -3,8 +3,9 @@
 A planner that sees exactly what it saw before in the same macro-action will do what it did before, and so on
 for ever. Of the decisions on that circle the one nearest to a tie is doubted most: in a turn without end, the
 one that faces a flag too far away to be recognised. There it takes the action that came second, and replays
-what a demonstrator did who took that action for the first time in the macro-action, to the end of a random
-segment. Its switch functions stay on watch.
+what a demonstrator did who took that action for the first time in a random segment of the macro-action, for
+as many frames as the circle has, on the next circle for twice as many, and so on: where it dithers a nudge is
+enough, a flag far away takes a walk. Its switch functions stay on watch.
 """
 
 import hashlib
@@ -110,6 +111,7 @@ class Recovery:
 
     def _enter(self, macro: int) -> None:
         self._macro, self._replaying = macro, False
+        self._circles = self._room = 0
         self._forget()
         self._stretch.clear()
 
@@ -127,15 +129,18 @@ class Recovery:
         if not self._ahead:
             circle = list(self._decisions.values())[list(self._decisions).index(digest) :]
             self._ahead = circle[: circle.index(min(circle)) + 1][::-1]
+            self._room = len(circle) << self._circles
+            self._circles += 1
         _, second = self._ahead.pop()
         if not self._ahead:
             self._stretch = self._draw(second)
             self._forget()
 
     def _draw(self, action: int) -> list[int]:
-        """A segment of the macro-action from its first frame with that action on; the next action last."""
+        """A segment of the macro-action from that action on, as far as it may go; the next action last."""
         segments = [own for own in self._segments[self._macro] if (own == action).any()]
         if not segments:
             return [action]
         segment = segments[self._generator.integers(len(segments))]
-        return segment[int((segment == action).argmax()) :][::-1].tolist()
+        first = int((segment == action).argmax())
+        return segment[first : first + self._room][::-1].tolist()

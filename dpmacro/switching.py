@@ -100,8 +100,8 @@ def fit_switches(
     """Fit a switch function for every change of macro-label that the trajectories show.
 
     Args:
-        learner: finds the weak hypotheses; holds the frames, and after them any number of other views of
-            all of them, like mirror images, which are examples too.
+        learner: finds the weak hypotheses; holds the frames, and copies of all of them after them if
+            any, like mirror images: examples too, of which no threshold or cue is taken.
         labels, lengths: the segmentation.
         window: J >= 1, the positive frames from a change on. Later ones show what the next macro-action
             does, which a planner that waits for the change never sees: with J = 10 a correction near the
@@ -110,7 +110,7 @@ def fit_switches(
         shrinkage: factor in (0, 1] on every weak hypothesis.
         folds: parts that trajectories are dealt into by `generator`; each part is scored by a switch function
             that never saw it. The threshold is the middle of the widest range in which most left-out
-            segments, in all views, fire at the first frame of their change and not before.
+            segments fire at the first frame of their change and not before.
         groups: trajectories of the same group fall into the same part, like mirror images; alone by default.
         early_stopping: whether every switch function keeps the rounds with the least loss on left-out parts.
         on_round: called after every round with the balanced loss and accuracy over all of them.
@@ -119,15 +119,15 @@ def fit_switches(
     All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
     be left out, and the calibration uses the training scores.
 
-    Raises ValueError where the learner does not hold every frame as often as any other.
+    Raises ValueError where the learner does not hold a whole number of copies of the frames.
     """
     if window < 1 or rounds < 1:
         raise ValueError(f"window is {window} and rounds {rounds}: both must be 1 or more")
     if folds < 2:
         raise ValueError(f"folds is {folds}: give 2 or more, so that something can be left out")
     n_frames = len(labels)
-    views, rest = divmod(learner.n_frames, n_frames)
-    if rest or not views:
+    copies, rest = divmod(learner.n_frames, n_frames)
+    if rest or not copies:
         raise ValueError(f"the learner holds {learner.n_frames} frames and {n_frames} are labelled")
     events = macro_segments(labels, lengths)
     pairs = sorted({(event.macro, event.following) for event in events if event.following is not None})
@@ -144,14 +144,13 @@ def fit_switches(
         strict=True,
     )
     n_problems = len(pairs) * n_fits
-    all_targets = torch.stack(targets, 1).repeat(views, 1)[:, :, None].to(learner.device)
+    all_targets = torch.stack(targets, 1).repeat(copies, 1)[:, :, None].to(learner.device)
     boosting = Boosting(learner, all_targets, n_problems, shrinkage, generator)
-    base = (torch.stack(weights, 1).repeat(views, 1) / views).to(learner.device)
+    base = (torch.stack(weights, 1).repeat(copies, 1) / copies).to(learner.device)
     own_fit = fold_of.clamp(max=n_fits - 1).repeat_interleave(lengths).to(learner.device)
-    own_fit = own_fit.repeat(views)[:, None, None].expand(-1, len(pairs), 1)
     last = torch.arange(n_fits - 1, n_problems, n_fits, device=learner.device)
     stopping, kept = BestRound(rounds), None
-    held_out = torch.zeros(learner.n_frames, len(pairs), device=learner.device)
+    held_out = torch.zeros(n_frames, len(pairs), device=learner.device)
     for number in range(1, rounds + 1):
         ended = boosting.round(base)
         right = ((boosting.scores > 0) == boosting.targets)[:, :, 0]
@@ -159,10 +158,10 @@ def fit_switches(
         loss = float((base * boosting.losses()).sum() / n_problems)
         over = tuple(int(k) // n_fits for k in ended if int(k) % n_fits == n_fits - 1)
         on_round(Round("switch", number, rounds, loss, accuracy, None, ended=over))
-        scores = boosting.scores[:, :, 0].unflatten(1, (len(pairs), n_fits))
-        scores = scores.gather(2, own_fit).squeeze(2)
-        costs = exponentials_of(scores[:, :, None], boosting.targets[:, last])[:, :, 0]
-        exhausted = stopping.exhausted((base[:, last] * costs).sum(0))
+        scores = boosting.scores[:n_frames, :, 0].unflatten(1, (len(pairs), n_fits))
+        scores = scores.gather(2, own_fit[:, None, None].expand(-1, len(pairs), 1)).squeeze(2)
+        costs = exponentials_of(scores[:, :, None], boosting.targets[:n_frames, last])[:, :, 0]
+        exhausted = stopping.exhausted((base[:n_frames, last] * costs).sum(0))
         if early_stopping:
             kept = stopping.best.repeat_interleave(n_fits)
             held_out = torch.where(stopping.best == number, scores, held_out)
@@ -173,14 +172,10 @@ def fit_switches(
     cues = () if actions is None else tuple(_cues(pair, events, actions) for pair in pairs)
     held_out = held_out.cpu()
     if actions is not None:
-        held_out = held_out.masked_fill(~cued(actions, lengths, cues).repeat(views, 1), -MARGIN_LIMIT)
-    thresholds, detected = torch.zeros(2, len(pairs))
-    for p, pair in enumerate(pairs):
-        seen = [_peaks(pair, events, view[:, p]) for view in held_out.split(n_frames)]
-        thresholds[p] = _calibrate(list(itertools.chain.from_iterable(seen)))
-        detected[p] = _in_time(seen[0], float(thresholds[p]))
-    classifier = boosting.strong(kept).select(last)
-    return SwitchFunctions(pairs, thresholds, detected, held_out[:n_frames], classifier, cues)
+        held_out = held_out.masked_fill(~cued(actions, lengths, cues), -MARGIN_LIMIT)
+    calibrated = [_calibrate(_peaks(pair, events, held_out[:, p])) for p, pair in enumerate(pairs)]
+    thresholds, detected = torch.tensor(calibrated).unbind(1)
+    return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong(kept).select(last), cues)
 
 
 def cued(
@@ -269,16 +264,11 @@ def _peaks(
     ]
 
 
-def _in_time(peaks: list[tuple[float, float]], threshold: float) -> float:
-    """The share of segments that are left in time: where before <= threshold < at."""
-    return sum(before <= threshold < at for before, at in peaks) / len(peaks)
+def _calibrate(peaks: list[tuple[float, float]]) -> tuple[float, float]:
+    """The threshold under which most segments are left in time, and the share of them that are.
 
-
-def _calibrate(peaks: list[tuple[float, float]]) -> float:
-    """The threshold under which most segments are left in time.
-
-    The middle of the widest best range wins; where no threshold serves any segment, zero, the switch
-    function's own decision boundary, stands.
+    A segment is left in time where before <= threshold < at. The middle of the widest best range wins; where
+    no threshold serves any segment, zero, the switch function's own decision boundary, stands.
     """
     levels = sorted({value for peak in peaks for value in peak})
     ranges = [
@@ -286,4 +276,4 @@ def _calibrate(peaks: list[tuple[float, float]]) -> float:
         for low, high in itertools.pairwise(levels)
     ]
     in_time, _, threshold = max(ranges, default=(0, 0.0, 0.0))
-    return threshold if in_time else 0.0
+    return (threshold, in_time / len(peaks)) if in_time else (0.0, 0.0)

@@ -35,8 +35,7 @@ from dpmacro.selection import FINALISTS, LEADERS
 from dpmacro.switching import FOLDS as SWITCH_FOLDS
 from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
 from dpmacro.training_pictures import TrainingPictures
-from dpmacro.views import View
-from dpmacro.weak_learners import WeakLearners, rounds_of, shrinkage_of, views_of
+from dpmacro.weak_learners import WeakLearners, rounds_of, shrinkage_of
 
 __all__ = ["Trainer", "TrainingResult", "plain_options"]
 
@@ -111,8 +110,8 @@ class Trainer:
             if start is not None and macros > 1:
                 known = dpboost.adopt(*given, start, monitor.on_round, self._groups)
             discovery = dpboost.fit(*given, monitor.on_round, self._groups, known)
-            views = self._views if discovery.macros > 1 else []
-            learner = self._learners.for_switches(data, features, quantiser, views)
+            mirror = self._mirror and discovery.macros > 1
+            learner = self._learners.for_switches(data, features, quantiser, mirror)
             labels, switches = fit_aligned(
                 lambda moved: self._fit_switches(learner, moved, monitor), discovery.labels, self.lengths
             )
@@ -185,10 +184,10 @@ class Trainer:
         most = max(macros for macros, _ in self._settings)
         copies = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
         tables = TABLES * 4 * copies * most * (int(self.actions.max()) + 1)
-        views = len(self._views) if most > 1 else 0
-        switches = TABLES * 4 * (1 + views) * most * (most - 1) * (SWITCH_FOLDS + 1)
+        copies = int(self._mirror and most > 1)
+        switches = TABLES * 4 * (1 + copies) * most * (most - 1) * (SWITCH_FOLDS + 1)
         sizes = n_frames, self.demonstrations.images[0].size, features.count, tables, planner.memory_limit
-        return features, Plan.fitting(*sizes, views, switches)
+        return features, Plan.fitting(*sizes, copies, switches)
 
     def _prepare(self) -> tuple[FeatureSet, Quantiser, SortedLevels]:
         """Features of every frame, quantised and, where memory allows, sorted."""
@@ -203,9 +202,9 @@ class Trainer:
         return torch.arange(len(self.lengths)) % n_originals
 
     @property
-    def _views(self) -> list[View]:
-        width, mirrored = self.demonstrations.images.shape[2], self.demonstrations.mirror_images > 0
-        return views_of(self.options.planner, width, mirrored)
+    def _mirror(self) -> bool:
+        """Whether switch functions learn from mirror images that the demonstrations do not hold already."""
+        return self.options.planner.switch_mirror and not self.demonstrations.mirror_images
 
     def _policy(
         self,

@@ -6,11 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpmacro import columns
-from dpmacro.columns import GIB, LEAST_COLUMNS, LIBRARIES, Plan, prepare, with_views
+from dpmacro.columns import GIB, LEAST_COLUMNS, LIBRARIES, Plan, prepare, with_mirror_images
 from dpmacro.features import make_features, previous_images
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.quantising import Quantiser
-from dpmacro.views import mirrored, other_views, shifted
 
 
 def test_the_sizes_of_the_goal():
@@ -19,7 +18,7 @@ def test_the_sizes_of_the_goal():
     large = Plan.fitting(200_000, 9216, 4096, 7680, 6.0)  # 2 macro-actions, 32 restarts, 3 actions
     assert large.columns == 4096 and LEAST_COLUMNS < large.drawn < 4096
     assert 512 <= Plan.fitting(200_000, 9216, 18_432, 7680, 5.0).columns < 18_432
-    seen = Plan.fitting(200_000, 9216, 4096, 7680, 6.0, views=3, switch_bytes=1920)
+    seen = Plan.fitting(200_000, 9216, 4096, 7680, 6.0, copies=1, switch_bytes=960)
     assert 3500 < seen.columns <= 4096
 
 
@@ -29,26 +28,26 @@ def test_the_sizes_of_the_goal():
     n_columns=st.integers(1, 20_000),
     table_bytes=st.integers(12, 10_000),
     limit=st.floats(0.7, 16),
-    views=st.integers(0, 3),
+    copies=st.integers(0, 3),
     switch_bytes=st.integers(0, 2_000),
 )
 def test_a_plan_stays_within_the_limit_and_uses_what_there_is(
-    n_frames, n_columns, table_bytes, limit, views, switch_bytes
+    n_frames, n_columns, table_bytes, limit, copies, switch_bytes
 ):
     try:
-        plan = Plan.fitting(n_frames, 9216, n_columns, table_bytes, limit, views, switch_bytes)
+        plan = Plan.fitting(n_frames, 9216, n_columns, table_bytes, limit, copies, switch_bytes)
     except ValueError as error:
         assert f"memory_limit is {limit:g} GiB" in str(error)
-        least = max(6, 1 + views) * min(LEAST_COLUMNS, n_columns)
+        least = max(6, 1 + copies) * min(LEAST_COLUMNS, n_columns)
         assert n_frames * (9216 + max(table_bytes, switch_bytes) + least) > (limit - 1.6) * GIB
         return
     assert plan.gibibytes <= limit
     assert min(LEAST_COLUMNS, n_columns) <= plan.columns <= n_columns
     assert plan.drawn <= plan.columns
-    seen = (1 + views) * plan.columns
+    seen = (1 + copies) * plan.columns
     assert plan.gibibytes * GIB > LIBRARIES + n_frames * (9216 + max(seen, plan.columns + table_bytes))
     if plan.drawn:  # a column more, kept or drawn, would not fit
-        assert plan.columns == n_columns or plan.gibibytes + (1 + views) * n_frames / GIB > limit
+        assert plan.columns == n_columns or plan.gibibytes + (1 + copies) * n_frames / GIB > limit
         boosting = plan.columns + table_bytes + 5 * (plan.drawn + 1)
         assert plan.drawn == plan.columns or LIBRARIES + n_frames * (9216 + boosting) > limit * GIB
 
@@ -107,14 +106,14 @@ def test_columns_that_do_not_fit_are_left_out_at_random():
 
 @pytest.mark.parametrize("kind", ["pixels", "rectangles"])
 @pytest.mark.parametrize("at_a_time", [2**26, 1000])
-def test_views_come_after_the_frames(monkeypatch, kind, at_a_time):
+def test_mirror_images_come_after_the_frames(monkeypatch, kind, at_a_time):
     images, lengths = example()
     features = make_features(kind, 12, 16, 70, torch.Generator().manual_seed(1))
     plan = Plan(features.count, features.count, 0, 1.0)
     _, quantiser, data = prepare(images, lengths, features, plan, torch.Generator())
     monkeypatch.setattr(columns, "VALUES", at_a_time)
-    seen = with_views(data, images, lengths, features, quantiser, other_views(True, 3))
-    aside = (mirrored(images), shifted(images, -3), shifted(images, 3))
-    others = [quantiser.levels(features.values(view, previous_images(view, lengths))) for view in aside]
-    assert torch.equal(seen.levels, torch.cat([data.levels, *others], 1)) and len(seen.columns) == 0
-    assert len({part.numpy().tobytes() for part in seen.levels.split(90, 1)}) == 4
+    both = with_mirror_images(data, images, lengths, features, quantiser)
+    flipped = images.flip(2)
+    values = features.values(flipped, previous_images(flipped, lengths))
+    assert torch.equal(both.levels, torch.cat([data.levels, quantiser.levels(values)], 1))
+    assert not torch.equal(both.levels[:, :90], both.levels[:, 90:]) and len(both.columns) == 0

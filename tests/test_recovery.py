@@ -71,6 +71,14 @@ def test_who_leaves_the_circle_is_not_held_to_it(stretches):
         assert recovery.act(bytes([frame]), 0, scores(2, 1)) == 2 and not recovery.replaying
 
 
+def test_every_further_circle_is_left_for_twice_as_long():
+    recovery = Recovery(Stretches.of(torch.zeros(9).long(), torch.ones(9).long(), torch.tensor([9])), 2)
+    done = [recovery.act(b"a", 0, scores(2, 1)) for _ in range(21)]
+    assert done == [2, 1, 2, 1, 1, 2, *[1] * 4, 2, *[1] * 8, 2, 1]
+    recovery.act(b"a", 1, scores(2, 1))  # another macro-action begins with a nudge again
+    assert [recovery.act(b"a", 0, scores(2, 1)) for _ in range(4)] == [2, 1, 2, 1]
+
+
 def test_an_action_that_no_demonstrator_took_is_taken_once(stretches):
     recovery = Recovery(stretches, 2)
     done = [recovery.act(b"a", 1, scores(2, 0)) for _ in range(4)]

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from visible import trajectories
 
-from dpmacro import switching
 from dpmacro.boosting import MARGIN_LIMIT
 from dpmacro.learners import Frames
 from dpmacro.learners.sorting import SortedLevels
@@ -29,7 +28,7 @@ def test_a_visible_change_is_recognised_when_it_comes():
     assert torch.equal(causal, labels)
 
 
-def test_other_views_of_the_frames_are_examples_too():
+def test_copies_of_the_frames_are_examples_too():
     learner, labels, lengths = trajectories()
     twice = StumpLearner(SortedLevels.build(learner.data.levels.repeat(1, 2)))
     once, again = (
@@ -39,7 +38,7 @@ def test_other_views_of_the_frames_are_examples_too():
     assert again.held_out.shape == once.held_out.shape == (len(labels), 1)
     assert again.detected.tolist() == once.detected.tolist() == [1.0]
     assert torch.equal(again.held_out > again.thresholds, once.held_out > once.thresholds)
-    # A change that only other views show is learned from them.
+    # A change that only the copies show is learned from them.
     dark = learner.data.levels.clone()
     dark[0] = 0
     shown = StumpLearner(SortedLevels.build(torch.cat([dark, learner.data.levels], 1)))
@@ -47,21 +46,6 @@ def test_other_views_of_the_frames_are_examples_too():
     scores = found.classifier.scores(Frames(learner.data.levels))[:, 0, 0]
     change = labels.diff(prepend=labels[:1]) > 0
     assert float(scores[change].min()) > float(scores[labels == 0].max())
-
-
-def test_thresholds_heed_all_views_and_detection_the_frames_alone(monkeypatch):
-    learner, labels, lengths = trajectories()
-    dark = learner.data.levels.clone()
-    dark[0] = 0
-    both = StumpLearner(SortedLevels.build(torch.cat([learner.data.levels, dark], 1)))
-    given = []
-    calibrate = switching._calibrate
-    monkeypatch.setattr(switching, "_calibrate", lambda peaks: given.extend(peaks) or calibrate(peaks))
-    found = fit_switches(both, labels, lengths, torch.Generator().manual_seed(0), rounds=10)
-    own, other = given[: len(lengths)], given[len(lengths) :]
-    assert len(own) == len(other)
-    assert all(before < at for before, at in own) and all(before >= at for before, at in other)
-    assert found.detected.tolist() == [1.0]
 
 
 def test_a_learner_of_other_frames_is_refused():

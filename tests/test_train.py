@@ -191,10 +191,6 @@ MISTAKES = {
         "planner.macros is 'two': give a number, or auto",
     ),
     "too few to try": (["--dataset.root={data}", "--planner.max_macros=1"], "planner.max_macros is 1"),
-    "images shifted out of sight": (
-        ["--dataset.root={data}", "--planner.switch_shift=1"],
-        "planner.switch_shift is 1",
-    ),
     "negative switch weight": (
         ["--dataset.root={data}", "--planner.switch_weight=-1"],
         "planner.switch_weight is -1",
