@@ -34,7 +34,7 @@ MEANINGS = {
     "pressed": "At the end the avatar walked against a wall or flag and hardly moved.",
     "spins": "At the end the avatar turned on the spot, a whole turn: no flag was recognised.",
     "dithers": "At the end the avatar turned on the spot, left and right in turn.",
-    "out_of_time": "None of the others: the avatar walked about until its steps ran out.",
+    "out_of_time": "None of the others: it walked and turned, and left its circles, until its steps ran out.",
 }
 EXPLAINED = """\
 A row is one failed run of a cause, where possible in a world in which the teacher succeeds. A picture's frame

@@ -4,6 +4,7 @@
 <folder>/train/random_0_dpboost-2_20/                 a policy
 <folder>/eval/random_0_dpboost-2_20/10000-10049/      its runs in some worlds
 
+What is there stays, whatever the commit that made it: where the method has changed, remove what it made.
 Where two trainings end in the same policy, bit for bit, as they do where macro-actions that do not pay are
 merged away, the runs of one are those of the other.
 """
@@ -155,7 +156,7 @@ def chunks(seeds: Sequence[int]) -> Iterator[list[int]]:
         yield chunk
 
 
-DECIDING = ("macros", "first_macro", "switches", "thresholds", "image_shape", "features", "world")
+DECIDING = ("macros", "first_macro", "switches", "thresholds", "cues", "image_shape", "features", "world")
 
 
 def fingerprint(training: Path) -> str | None:

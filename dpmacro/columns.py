@@ -2,8 +2,8 @@
 
 A level takes a byte a column and frame, its place in the sorted order four more. Where sorted columns do not
 fit, levels alone are held and boosting sorts as many random columns as fit, drawn anew every few rounds;
-where the levels of all columns do not fit either, random columns of the feature set are left out. The
-mirror images that switch functions learn from take as much as the frames.
+where the levels of all columns do not fit either, random columns of the feature set are left out. Switch
+functions take more where they learn from mirror images: the levels once more, and those of the mirror images.
 """
 
 from collections.abc import Callable
@@ -63,8 +63,9 @@ class Plan:
             n_columns: of the feature set.
             table_bytes: scores, losses and weights of one frame while boosting.
             limit: GiB.
-            copies: of every frame, like mirror images, that switch functions learn from besides, after that.
-            switch_bytes: scores, losses and weights of one frame and its copies, meanwhile.
+            copies: of every frame, like mirror images, that switch functions learn from as well.
+            switch_bytes: of one frame while they learn, boosting being over: scores, losses and weights, and
+                sorted columns, all times 1 + `copies`.
 
         Raises ValueError with the least limit where there is no room for `LEAST_COLUMNS` columns.
         """
@@ -75,11 +76,15 @@ class Plan:
 
         switching = n_frames * switch_bytes
 
-        def most(columns: int, drawn: int, each: int = DRAWN) -> float:
-            then = boosting + each * drawn * n_frames, switching + copies * columns * n_frames
-            return (fixed + columns * n_frames + max(quantising, *then)) / GIB
+        copied = 1 + copies if copies else 0  # the frames' own levels are copied, too
 
-        if (whole := most(n_columns, n_columns, SORTED)) <= limit:
+        def most(columns: int, drawn: int) -> float:
+            """Of the plan; all columns are sorted where `drawn` is 0."""
+            order = 0 if drawn else SORTED * columns
+            then = boosting + DRAWN * drawn * n_frames, switching + copied * columns * n_frames
+            return (fixed + columns * n_frames + max(quantising, order * n_frames + max(then))) / GIB
+
+        if (whole := most(n_columns, 0)) <= limit:
             return cls(n_columns, n_columns, 0, whole)
         least = min(LEAST_COLUMNS, n_columns)
         if most(least, least) > limit:
@@ -89,7 +94,7 @@ class Plan:
         room = limit * GIB - fixed
         kept = (
             int((room - max(quantising, boosting + DRAWN * least * n_frames)) / n_frames),
-            int((room - switching) / ((1 + copies) * n_frames)),
+            int((room - switching) / ((1 + copied) * n_frames)),
         )
         columns = min(max(min(kept), least), n_columns)
         drawn = int((room - boosting - columns * n_frames) / (DRAWN * n_frames))

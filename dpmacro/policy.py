@@ -75,7 +75,6 @@ class PolicyState:
 
     macro: Int64[Tensor, " batch"]
     action: Int64[Tensor, " batch"]  # done last, -1 before the first
-    scores: Float[Tensor, "batch actions"] | None = None  # of which it had the highest
     previous: UInt8[Tensor, "batch height width 3"] | None = None  # None before the first frame
     restarted: Bool[Tensor, " batch"] | None = None  # environments whose next frame is their first
 
@@ -133,13 +132,22 @@ class MacroPolicy:
         macro = torch.where(which, self.config.first_macro, state.macro)
         restarted = which if state.restarted is None else state.restarted | which
         action = torch.where(which, -1, state.action)
-        return PolicyState(macro, action, state.scores, state.previous, restarted)
+        return PolicyState(macro, action, state.previous, restarted)
 
     @torch.inference_mode()
     def act(
         self, images: UInt8[Tensor, "batch height width 3"], state: PolicyState
     ) -> tuple[Int64[Tensor, " batch"], PolicyState]:
-        """The action of every environment and its state after this frame.
+        """The action of every environment and its state after this frame; errors as of `decide`."""
+        scores, state = self.decide(images, state)
+        actions = scores.argmax(1)
+        return actions, replace(state, action=actions)
+
+    @torch.inference_mode()
+    def decide(
+        self, images: UInt8[Tensor, "batch height width 3"], state: PolicyState
+    ) -> tuple[Float[Tensor, "batch actions"], PolicyState]:
+        """The score of every action, of which the highest is to be taken, and the state but for that action.
 
         Raises ValueError where the images are not of the size the policy was trained on.
         """
@@ -155,8 +163,7 @@ class MacroPolicy:
         frames = Frames(levels, images, previous)
         macro = self._switch(frames, state)
         scores = self.actor.scores(frames)[torch.arange(len(macro), device=macro.device), macro]
-        actions = scores.argmax(1)
-        return actions, PolicyState(macro, actions, scores, images)
+        return scores, PolicyState(macro, state.action, images)
 
     def _switch(self, frames: Frames, state: PolicyState) -> Int64[Tensor, " batch"]:
         macro = state.macro
@@ -265,11 +272,12 @@ class MacroPlanner:
     def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
         """The action for the frame that the environment shows now."""
         images, before = torch.from_numpy(observation["pixels"])[None], self._state.previous
-        actions, self._state = self.policy.act(images.to(self.policy.device), self._state)
-        if self._recovery is None or self._state.scores is None:
-            return int(actions[0])
-        seen = images if before is None else torch.cat([images, before.cpu()])
-        action = self._recovery.act(seen.numpy().tobytes(), self.macro, self._state.scores[0].cpu().numpy())
+        scores, self._state = self.policy.decide(images.to(self.policy.device), self._state)
+        if self._recovery is None:
+            action = int(scores[0].argmax())
+        else:
+            seen = images if before is None else torch.cat([images, before.cpu()])
+            action = self._recovery.act(seen.numpy().tobytes(), self.macro, scores[0].cpu().numpy())
         self.took(action)
         return action
 

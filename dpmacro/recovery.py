@@ -1,11 +1,12 @@
 """What a planner in trouble does: its least certain decision the other way, then on like a demonstrator.
 
-A planner that sees exactly what it saw before in the same macro-action will do what it did before, and so on
-for ever. Of the decisions on that circle the one nearest to a tie is doubted most: in a turn without end, the
-one that faces a flag too far away to be recognised. There it takes the action that came second, and replays
-what a demonstrator did who took that action for the first time in a random segment of the macro-action, for
-as many frames as the circle has, on the next circle for twice as many, and so on: where it dithers a nudge is
-enough, a flag far away takes a walk. Its switch functions stay on watch.
+A planner that sees exactly what it saw before in the same macro-action will, where its world is as
+predictable as it is, do what it did before, and so on for ever. Of the decisions on that circle the one
+nearest to a tie is doubted most: in a turn without end, the one that faces a flag too far away to be
+recognised. There it takes the action that came second, and replays what a demonstrator did from the first
+such action of a random segment on: for as many frames as the circle has, after the next circle for twice as
+many, and so on, the segment's end at most. Where it dithers a nudge is enough, a flag far away takes a walk.
+Its switch functions stay on watch.
 """
 
 import hashlib
@@ -79,8 +80,9 @@ class Recovery:
 
     def __init__(self, stretches: Stretches, macros: int) -> None:
         self._segments = [stretches.of_macro(macro) for macro in range(macros)]
-        self._decisions: dict[bytes, tuple[float, int]] = {}  # digest of what was seen -> lead, second action
-        self._ahead: list[tuple[float, int]] = []  # decisions up to the doubted one, which comes first
+        self._leads: dict[
+            bytes, float
+        ] = {}  # digest of a sight -> the decision's lead; the last one seen last
         self._stretch: list[int] = []  # actions still to replay, the next one last
         self.reset()
 
@@ -91,7 +93,7 @@ class Recovery:
 
     @property
     def replaying(self) -> bool:
-        """Whether the last action was a demonstrator's."""
+        """Whether the last action was not the planner's."""
         return self._replaying
 
     def act(self, seen: bytes, macro: int, scores: Float[np.ndarray, " actions"]) -> int:
@@ -100,7 +102,7 @@ class Recovery:
         Args:
             seen: all that the planner's decision depends on beside its macro-action.
             macro: its macro-action, 0..Q-1.
-            scores: of every action, of which it would take the highest.
+            scores: of every action, of which it would take the highest, the first of several.
         """
         if macro != self._macro:
             self._enter(macro)
@@ -111,33 +113,32 @@ class Recovery:
 
     def _enter(self, macro: int) -> None:
         self._macro, self._replaying = macro, False
-        self._circles = self._room = 0
-        self._forget()
+        self._stretches = 0  # replayed in this macro-action
         self._stretch.clear()
+        self._forget()
 
     def _forget(self) -> None:
-        self._decisions.clear()
-        self._ahead.clear()
+        self._leads.clear()
+        self._start = self._doubted = b""  # sights: where the circle was found, and its most doubted one
 
-    def _watch(self, digest: bytes, scores: Float[np.ndarray, " actions"]) -> None:
-        """Take note of a decision; on a circle, begin a stretch where its most doubted one is made."""
-        if digest not in self._decisions:
-            second, first = scores.argsort(kind="stable")[-2:].tolist()
-            self._decisions[digest] = float(scores[first] - scores[second]), second
-            self._ahead.clear()
-            return
-        if not self._ahead:
-            circle = list(self._decisions.values())[list(self._decisions).index(digest) :]
-            self._ahead = circle[: circle.index(min(circle)) + 1][::-1]
-            self._room = len(circle) << self._circles
-            self._circles += 1
-        _, second = self._ahead.pop()
-        if not self._ahead:
+    def _watch(self, sight: bytes, scores: Float[np.ndarray, " actions"]) -> None:
+        """Take note of a decision; begin a stretch if it is the most doubted one of a circle."""
+        first, second = np.argsort(-scores, kind="stable")[:2].tolist()
+        if sight not in self._leads:
+            self._doubted = b""
+        elif not self._doubted or sight == self._start:
+            circle = list(self._leads)[list(self._leads).index(sight) :]
+            self._start, self._doubted = sight, min(circle, key=self._leads.__getitem__)
+            self._room = len(circle) << self._stretches
+        self._leads.pop(sight, None)
+        self._leads[sight] = float(scores[first] - scores[second])
+        if sight == self._doubted:
             self._stretch = self._draw(second)
+            self._stretches += 1
             self._forget()
 
     def _draw(self, action: int) -> list[int]:
-        """A segment of the macro-action from that action on, as far as it may go; the next action last."""
+        """A segment of the macro-action from that action on, `_room` frames at most; the next one last."""
         segments = [own for own in self._segments[self._macro] if (own == action).any()]
         if not segments:
             return [action]

@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 COVERED = 0.75  # of the changes, by their cues
-FOLDS = 5  # of trajectories, of which each function leaves out one
+FOLDS = 5  # of trajectories; one function for each leaves it out, one more sees all
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from dpmacro import figures
 from dpmacro.alignment import fit_aligned
 from dpmacro.choosing import Choice, choose
-from dpmacro.columns import Plan, prepare
+from dpmacro.columns import DRAWN, Plan, prepare
 from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
@@ -182,12 +182,12 @@ class Trainer:
         n_frames, height, width = self.demonstrations.images.shape[:3]
         features = make_features(planner.features, height, width, planner.rectangles, self._generator)
         most = max(macros for macros, _ in self._settings)
-        copies = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
-        tables = TABLES * 4 * copies * most * (int(self.actions.max()) + 1)
+        tried = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
+        tables = TABLES * 4 * tried * most * (int(self.actions.max()) + 1)
         copies = int(self._mirror and most > 1)
-        switches = TABLES * 4 * (1 + copies) * most * (most - 1) * (SWITCH_FOLDS + 1)
+        switches = TABLES * 4 * most * (most - 1) * (SWITCH_FOLDS + 1) + DRAWN * planner.switch_drawn
         sizes = n_frames, self.demonstrations.images[0].size, features.count, tables, planner.memory_limit
-        return features, Plan.fitting(*sizes, copies, switches)
+        return features, Plan.fitting(*sizes, copies, (1 + copies) * switches)
 
     def _prepare(self) -> tuple[FeatureSet, Quantiser, SortedLevels]:
         """Features of every frame, quantised and, where memory allows, sorted."""

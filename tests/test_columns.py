@@ -18,8 +18,8 @@ def test_the_sizes_of_the_goal():
     large = Plan.fitting(200_000, 9216, 4096, 7680, 6.0)  # 2 macro-actions, 32 restarts, 3 actions
     assert large.columns == 4096 and LEAST_COLUMNS < large.drawn < 4096
     assert 512 <= Plan.fitting(200_000, 9216, 18_432, 7680, 5.0).columns < 18_432
-    seen = Plan.fitting(200_000, 9216, 4096, 7680, 6.0, copies=1, switch_bytes=960)
-    assert 3500 < seen.columns <= 4096
+    mirrored = Plan.fitting(200_000, 9216, 4096, 11_520, 6.0, copies=1, switch_bytes=3200)
+    assert mirrored.columns == 4096
 
 
 @settings(deadline=None)
@@ -38,18 +38,20 @@ def test_a_plan_stays_within_the_limit_and_uses_what_there_is(
         plan = Plan.fitting(n_frames, 9216, n_columns, table_bytes, limit, copies, switch_bytes)
     except ValueError as error:
         assert f"memory_limit is {limit:g} GiB" in str(error)
-        least = max(6, 1 + copies) * min(LEAST_COLUMNS, n_columns)
+        least = max(6, 2 + copies) * min(LEAST_COLUMNS, n_columns)
         assert n_frames * (9216 + max(table_bytes, switch_bytes) + least) > (limit - 1.6) * GIB
         return
     assert plan.gibibytes <= limit
     assert min(LEAST_COLUMNS, n_columns) <= plan.columns <= n_columns
     assert plan.drawn <= plan.columns
-    seen = (1 + copies) * plan.columns
-    assert plan.gibibytes * GIB > LIBRARIES + n_frames * (9216 + max(seen, plan.columns + table_bytes))
+    copied = 1 + copies if copies else 0
+    boosting = plan.columns + table_bytes + (5 * plan.drawn if plan.drawn else 4 * plan.columns)
+    switching = (1 + copied + (0 if plan.drawn else 4)) * plan.columns + switch_bytes
+    assert plan.gibibytes * GIB > LIBRARIES + n_frames * (9216 + max(boosting, switching)) - 1
     if plan.drawn:  # a column more, kept or drawn, would not fit
-        assert plan.columns == n_columns or plan.gibibytes + (1 + copies) * n_frames / GIB > limit
-        boosting = plan.columns + table_bytes + 5 * (plan.drawn + 1)
-        assert plan.drawn == plan.columns or LIBRARIES + n_frames * (9216 + boosting) > limit * GIB
+        assert plan.columns == n_columns or plan.gibibytes + (1 + copied) * n_frames / GIB > limit
+        more = LIBRARIES + n_frames * (9216 + boosting + 5)
+        assert plan.drawn == plan.columns or more > limit * GIB
 
 
 def example(n_frames=90):

@@ -15,6 +15,7 @@ from dpmacro.learners import Frames
 from dpmacro.learners.stumps import StumpClassifier
 from dpmacro.policy import MacroPolicy, PolicyConfig, PolicyState
 from dpmacro.quantising import Quantiser
+from dpmacro.recovery import Stretches
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SHAPE = (12, 16)
@@ -116,6 +117,28 @@ def test_what_was_done_instead_is_what_a_switch_function_follows():
         planner.took(instead)
         planner.act({"pixels": images[1].numpy()}, {})
         assert planner.macro == int(instead == 2)
+
+
+def test_a_planner_that_sees_the_same_again_leaves_its_circle(tmp_path):
+    """The third time it has seen the same pair of images before, and takes the action that came second."""
+    policy, images = random_policy(switches=((0, 1),))
+    labels, actions = torch.zeros(9).long(), torch.arange(9) % 3
+    stretches = Stretches.of(labels, actions, torch.tensor([9]))
+    policy = replace(policy, config=replace(policy.config, thresholds=(100.0,)), stretches=stretches)
+    policy.save(tmp_path)
+    same = {"pixels": images[0].numpy()}
+    state = replace(policy.initial_state(1), previous=images[:1])
+    first, second = policy.decide(images[:1], state)[0][0].argsort(descending=True)[:2].tolist()
+    for found in (policy, MacroPolicy.load(tmp_path), policy.to("cpu")):
+        planner = found.planner()
+        for _ in range(2):  # episodes
+            planner.reset(gym.Env())
+            assert [planner.act(same, {}) for _ in range(3)] == [first, first, second]
+            assert int(planner._state.action) == second
+        others = [planner.act({"pixels": image.numpy()}, {}) for image in images]
+        alone = found.planner(recovery=False)
+        assert others == [alone.act({"pixels": image.numpy()}, {}) for image in [images[0], *images]][1:]
+        assert [alone.act(same, {}) for _ in range(4)][1:] == [first] * 3
 
 
 def test_an_environment_that_begins_anew_has_done_nothing():

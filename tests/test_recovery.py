@@ -71,6 +71,31 @@ def test_who_leaves_the_circle_is_not_held_to_it(stretches):
         assert recovery.act(bytes([frame]), 0, scores(2, 1)) == 2 and not recovery.replaying
 
 
+def test_a_long_circle_is_left_for_as_long_as_it_is_then_for_twice_as_long():
+    recovery = Recovery(Stretches.of(torch.zeros(90).long(), torch.ones(90).long(), torch.tensor([90])), 2)
+    own = ["a", "b", "c", "a", "b"]  # b is doubted
+    done = [recovery.act(sight.encode(), 0, scores(2, 1, 0.1 if sight == "b" else 1.0)) for sight in own]
+    assert done == [2, 2, 2, 2, 1]
+    assert [recovery.act(b"", 0, scores(2, 1)) for _ in range(2)] == [1, 1]
+    done = [recovery.act(sight.encode(), 0, scores(2, 1, 0.1 if sight == "b" else 1.0)) for sight in own]
+    assert done == [2, 2, 2, 2, 1]
+    assert [recovery.act(b"", 0, scores(2, 1)) for _ in range(6)] == [*[1] * 5, 2]
+
+
+def test_a_circle_that_was_left_without_a_stretch_does_not_count():
+    recovery = Recovery(Stretches.of(torch.zeros(90).long(), torch.ones(90).long(), torch.tensor([90])), 2)
+    for time in range(3):
+        for sight, lead in ((b"a", 2.0), (b"b", 0.1), (b"a", 2.0), (b"c", 3.0)):
+            assert recovery.act(bytes([time]) + sight, 0, scores(2, 1, lead)) == 2
+    assert [recovery.act(b"x", 0, scores(2, 1)) for _ in range(3)] == [2, 1, 2]
+
+
+def test_of_equal_scores_the_planner_takes_the_first_and_doubt_the_next(stretches):
+    recovery = Recovery(stretches, 2)
+    equal = np.array([1.0, 1.0, 0.0], np.float32)
+    assert [recovery.act(b"a", 0, equal) for _ in range(2)] == [0, 1]
+
+
 def test_every_further_circle_is_left_for_twice_as_long():
     recovery = Recovery(Stretches.of(torch.zeros(9).long(), torch.ones(9).long(), torch.tensor([9])), 2)
     done = [recovery.act(b"a", 0, scores(2, 1)) for _ in range(21)]

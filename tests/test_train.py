@@ -14,7 +14,7 @@ from test_demonstrations import SPOILED, root  # noqa: F401  a fixture
 
 import train
 from dpmacro import cli
-from dpmacro.columns import GIB
+from dpmacro.columns import GIB, Plan
 from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.features import previous_images
@@ -93,6 +93,8 @@ def test_tensorboard_has_the_quantities_of_every_stage(trained):
         "agreement_with_truth",
     ):
         assert f"segmentation/fit/{name}" in scalars
+    assert "selection/causal_loss" in scalars
+    assert any(re.fullmatch(r"switch/detected_\d_to_\d", name) for name in scalars)
     assert set(events.Tags()["images"]) == {
         f"figures/{name}"
         for name in ("timeline", "segmentation", "objective", "transitions", "pixels", "elbow")
@@ -171,6 +173,17 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
     options = [f"--planner.memory_limit={limit:.9f}", *SMALL]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
     assert re.search(r"columns +150 of 150, \d+ drawn at a time", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(("mirror", "copies"), [("true", 1), ("false", 0)])
+def test_the_memory_of_mirror_images_is_planned(recorded, tmp_path, monkeypatch, mirror, copies):
+    fitting, given = Plan.fitting, []
+    monkeypatch.setattr(Plan, "fitting", lambda *sizes: given.append(sizes) or fitting(*sizes))
+    options = [f"--planner.switch_mirror={mirror}", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    [sizes] = given
+    assert sizes[5] == copies
+    assert sizes[6] > (1 + copies) * 4 * 2  # a score of either direction of change at least
 
 
 def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monkeypatch):
