@@ -165,7 +165,7 @@ def fingerprint(training: Path) -> str | None:
     if read_stamp(training) is None:
         return None
     config = json.loads((policy / "config.json").read_text())
-    told = json.dumps([config[name] for name in DECIDING]).encode()
+    told = json.dumps([config.get(name) for name in DECIDING]).encode()
     return hashlib.sha256(told + (policy / "model.safetensors").read_bytes()).hexdigest()
 
 
