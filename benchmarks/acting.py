@@ -57,7 +57,8 @@ def _policy(kind: str, images: Any) -> Any:
 
     from dpmacro.features import make_features
     from dpmacro.learners.stumps import StumpClassifier
-    from dpmacro.policy import MacroPolicy, PolicyConfig
+    from dpmacro.policy import MacroPolicy
+    from dpmacro.policy_config import PolicyConfig
     from dpmacro.quantising import Quantiser
 
     generator = torch.Generator().manual_seed(0)

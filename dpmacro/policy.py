@@ -1,9 +1,8 @@
 """MacroPolicy: strong classifiers and switch functions that turn images into actions; saved and read back."""
 
 import json
-import math
 from collections.abc import Hashable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,57 +15,18 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from dpmacro.features import FEATURES, FeatureSet, features_from
+from dpmacro.features import FeatureSet, features_from
 from dpmacro.files import replacing
 from dpmacro.learners import Frames, StrongClassifier
 from dpmacro.learners.ensemble import classifier_from, classifier_tensors
+from dpmacro.policy_config import PolicyConfig, read_config
 from dpmacro.quantising import Quantiser
 from dpmacro.recovery import Recovery, Stretches
 
-__all__ = ["MacroPlanner", "MacroPolicy", "PolicyConfig", "PolicyState"]
+__all__ = ["MacroPlanner", "MacroPolicy", "PolicyState"]
 
 CONFIG_NAME = "config.json"
 WEIGHTS_NAME = "model.safetensors"
-
-
-@dataclass(frozen=True)
-class PolicyConfig:
-    """What a policy is, beside its numbers."""
-
-    type: str  # dpboost | baseline
-    macros: int  # Q
-    first_macro: int  # the macro-action that a run starts in
-    action_names: tuple[str, ...]
-    image_shape: tuple[int, int]  # height, width
-    features: str  # kind of feature set
-    switches: tuple[tuple[int, int], ...] = ()  # (from, to) of every switch function
-    thresholds: tuple[float, ...] = ()  # a switch function fires above its own
-    cues: tuple[tuple[int, ...], ...] = ()  # and right after one of these actions; none stands for any
-    max_transitions: int | None = None  # S of the segmentation it was trained on; None for Q - 1
-    switch_weight: float = 0.0  # of the switch functions' costs in that segmentation
-    change_log_odds: tuple[tuple[float, ...], ...] = ()  # [from][to] in that segmentation; with a weight only
-    world: dict[str, Any] = field(default_factory=dict)  # {"id": ..., **options} of the demonstrations
-
-    def __post_init__(self) -> None:
-        macros = [self.first_macro, *(macro for pair in self.switches for macro in pair)]
-        sound = {
-            "macros": isinstance(self.macros, int) and self.macros >= 1,
-            "first_macro and switches": all(isinstance(q, int) and 0 <= q < self.macros for q in macros),
-            "thresholds": len(self.thresholds) == len(self.switches)
-            and all(map(math.isfinite, self.thresholds)),
-            "cues": len(self.cues) in (0, len(self.switches))
-            and all(0 <= action < len(self.action_names) for own in self.cues for action in own),
-            "image_shape": len(self.image_shape) == 2
-            and all(isinstance(size, int) for size in self.image_shape),
-            "features": self.features in FEATURES,
-            "max_transitions": self.max_transitions is None or self.max_transitions >= 0,
-            "change_log_odds": not self.switch_weight
-            or [len(row) for row in self.change_log_odds] == [self.macros] * self.macros,
-            "world": isinstance(self.world, dict),
-        }
-        for name, holds in sound.items():
-            if not holds:
-                raise ValueError(f"{name} of the policy cannot be: {self}")
 
 
 @dataclass
@@ -219,7 +179,7 @@ class MacroPolicy:
                 raise ValueError(
                     f"{folder} holds no {name}: give the pretrained_model folder of a training run"
                 )
-        config = _read_config(folder / CONFIG_NAME)
+        config = read_config(folder / CONFIG_NAME)
         try:
             policy = _assemble(config, load_file(folder / WEIGHTS_NAME, device=str(device)))
             # A frame tells whether the tensors fit one another, before a world is built.
@@ -299,23 +259,3 @@ def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:
         classifier_from(groups["switcher"]) if config.switches else None,
         Stretches.from_tensors(groups["stretches"]) if "stretches" in groups else None,
     )
-
-
-def _read_config(path: Path) -> PolicyConfig:
-    try:
-        values = json.loads(path.read_text())
-        return PolicyConfig(
-            **{
-                **values,
-                "action_names": tuple(values["action_names"]),
-                "image_shape": tuple(values["image_shape"]),
-                "switches": tuple(tuple(pair) for pair in values["switches"]),
-                "thresholds": tuple(values["thresholds"]),
-                "cues": tuple(tuple(own) for own in values.get("cues", ())),
-                "change_log_odds": tuple(tuple(row) for row in values.get("change_log_odds", ())),
-            }
-        )
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{path} is no policy of dpmacro ({error}): give a folder that train.py wrote"
-        ) from error

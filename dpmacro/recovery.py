@@ -80,9 +80,8 @@ class Recovery:
 
     def __init__(self, stretches: Stretches, macros: int) -> None:
         self._segments = [stretches.of_macro(macro) for macro in range(macros)]
-        self._leads: dict[
-            bytes, float
-        ] = {}  # digest of a sight -> the decision's lead; the last one seen last
+        # Digest of a sight -> the lead of the decision made there; the latest sight comes last.
+        self._leads: dict[bytes, float] = {}
         self._stretch: list[int] = []  # actions still to replay, the next one last
         self.reset()
 

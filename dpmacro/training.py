@@ -27,7 +27,8 @@ from dpmacro.learners import WeakLearner
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.monitor import Monitor
 from dpmacro.options import PlannerOptions, TrainOptions
-from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.policy import MacroPolicy
+from dpmacro.policy_config import PolicyConfig
 from dpmacro.quantising import Quantiser
 from dpmacro.recovery import Stretches
 from dpmacro.runs import RunFolder

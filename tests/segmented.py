@@ -10,7 +10,8 @@ from dpmacro.demonstrations import Demonstrations
 from dpmacro.features import make_features
 from dpmacro.findings import Findings
 from dpmacro.learners.stumps import StumpClassifier
-from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.policy import MacroPolicy
+from dpmacro.policy_config import PolicyConfig
 from dpmacro.quantising import Quantiser
 
 SHAPE = (12, 16)

@@ -18,7 +18,8 @@ from dpmacro.features import make_features, previous_images
 from dpmacro.joint import change_log_odds
 from dpmacro.learners import Frames
 from dpmacro.learners.stumps import StumpLearner
-from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.policy import MacroPolicy
+from dpmacro.policy_config import PolicyConfig
 from dpmacro.search import Search
 from dpmacro.segmentation import transition_counts
 from dpmacro.selection import Task, judge

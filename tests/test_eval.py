@@ -17,7 +17,8 @@ from dpmacro import cli
 from dpmacro.features import Pixels
 from dpmacro.learners.stumps import StumpClassifier
 from dpmacro.outcomes import wilson_interval
-from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.policy import MacroPolicy
+from dpmacro.policy_config import PolicyConfig
 from dpmacro.quantising import Quantiser
 from dpmacro.recording import DemonstrationWriter
 from dpmacro.rollouts import OUTCOMES

@@ -8,7 +8,8 @@ from noise import ACTIONS
 from dpmacro.features import make_features
 from dpmacro.gathering import gather, visit
 from dpmacro.learners.stumps import StumpClassifier
-from dpmacro.policy import MacroPolicy, PolicyConfig
+from dpmacro.policy import MacroPolicy
+from dpmacro.policy_config import PolicyConfig
 from dpmacro.quantising import Quantiser
 from dpmacro.rollouts import PlannerSource
 from dpmacro.worlds.two_flags import FORWARD, TURN_LEFT, TURN_RIGHT

@@ -13,7 +13,8 @@ from safetensors.torch import load_file, save_file
 from dpmacro.features import FEATURES, make_features, previous_images
 from dpmacro.learners import Frames
 from dpmacro.learners.stumps import StumpClassifier
-from dpmacro.policy import MacroPolicy, PolicyConfig, PolicyState
+from dpmacro.policy import MacroPolicy, PolicyState
+from dpmacro.policy_config import PolicyConfig
 from dpmacro.quantising import Quantiser
 from dpmacro.recovery import Stretches
 
