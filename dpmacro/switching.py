@@ -3,7 +3,8 @@
 For every observed change q -> q' a binary strong classifier H_q^q' (Section IV of the paper) separates the J
 frames from the change on (positives) from the frames of q (negatives), both sides weighing the same. Its
 threshold is calibrated on trajectories that its training left out. A planner knows what it has just done: a
-switch function may fire only after an action that comes before its changes in demonstrations, its cues.
+switch function may fire only after an action that comes before its changes in demonstrations, its cues, and
+learns only from frames after such an action.
 """
 
 import itertools
@@ -114,7 +115,8 @@ def fit_switches(
         groups: trajectories of the same group fall into the same part, like mirror images; alone by default.
         early_stopping: whether every switch function keeps the rounds with the least loss on left-out parts.
         on_round: called after every round with the balanced loss and accuracy over all of them.
-        actions: of every frame, for the cues; without them a switch function may fire after any action.
+        actions: of every frame, for the cues; without them a switch function may fire after any action, and
+            learns from all frames.
 
     All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
     be left out, and the calibration uses the training scores.
@@ -133,12 +135,16 @@ def fit_switches(
     pairs = sorted({(event.macro, event.following) for event in events if event.following is not None})
     if not pairs:
         return SwitchFunctions([], torch.zeros(0), torch.zeros(0), torch.zeros(n_frames, 0), None)
+    cues = () if actions is None else tuple(_cues(pair, events, actions) for pair in pairs)
+    asked = torch.ones(n_frames, len(pairs), dtype=torch.bool)
+    if actions is not None:
+        asked = cued(actions, lengths, cues)
     fold_of = folds_of(len(lengths), folds, generator, groups)
     n_fits = int(fold_of.max()) + 2 if fold_of.any() else 1  # the last one sees every trajectory
     weights, targets = zip(
         *(
-            _examples(pair, events, fold_of == fold, n_frames, window)
-            for pair in pairs
+            _examples(pair, events, fold_of == fold, own, window)
+            for pair, own in zip(pairs, asked.unbind(1), strict=True)
             for fold in [*range(n_fits - 1), -1]
         ),
         strict=True,
@@ -169,10 +175,7 @@ def fit_switches(
             held_out = scores
         if bool(boosting.ended.all()) or (early_stopping and exhausted):
             break
-    cues = () if actions is None else tuple(_cues(pair, events, actions) for pair in pairs)
-    held_out = held_out.cpu()
-    if actions is not None:
-        held_out = held_out.masked_fill(~cued(actions, lengths, cues), -MARGIN_LIMIT)
+    held_out = held_out.cpu().masked_fill(~asked, -MARGIN_LIMIT)
     calibrated = [_calibrate(_peaks(pair, events, held_out[:, p])) for p, pair in enumerate(pairs)]
     thresholds, detected = torch.tensor(calibrated).unbind(1)
     return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong(kept).select(last), cues)
@@ -218,12 +221,16 @@ def _examples(
     pair: tuple[int, int],
     events: list[Event],
     left_out: Bool[Tensor, " trajectories"],
-    n_frames: int,
+    asked: Bool[Tensor, " frames"],
     window: int,
 ) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """Base weights, half a side, and targets of a switch function that never sees what is left out."""
-    weights = torch.zeros(n_frames)
-    targets = torch.zeros(n_frames, dtype=torch.bool)
+    """Base weights, half a side, and targets of a switch function that never sees what is left out.
+
+    Frames at which it is not asked, those after other actions than its cues, are no examples: what tells a
+    change from frames after a turn need not tell it from those after a step.
+    """
+    weights = torch.zeros(len(asked))
+    targets = torch.zeros(len(asked), dtype=torch.bool)
     macro, following = pair
     for event in events:
         if event.macro != macro or left_out[event.trajectory]:
@@ -233,6 +240,7 @@ def _examples(
             positives = slice(event.stop, min(event.stop + window, event.following_stop))
             weights[positives] = 1
             targets[positives] = True
+    weights *= asked
     for side in (targets, ~targets):
         weights[side] /= (2 * weights[side].sum()).clamp(min=1)
     return weights, targets

@@ -69,9 +69,37 @@ def test_a_switch_function_may_fire_after_what_came_before_its_changes():
     before = actions.roll(1)
     before[starts] = 0
     may_fire = before > 0  # 1 and 2 come before six changes each
-    assert torch.equal(bound.held_out[may_fire], free.held_out[may_fire])
     assert (bound.held_out[~may_fire] == -MARGIN_LIMIT).all()
     assert bound.detected.tolist() == [1.0]
+
+
+def test_frames_that_no_cue_precedes_are_no_examples():
+    """What looks like a change there, or would tell changes from the rest, is not learned from."""
+    learner, labels, lengths = trajectories()
+    change = labels.diff(prepend=labels[:1]) > 0
+    actions = change.roll(-1).long()  # 1 before a change
+    actions[(lengths.cumsum(0) - 7)[:, None] + torch.arange(6)] = 1  # and late in a trajectory
+    asked = cued(actions, lengths, [(1,)])[:, 0]
+    generator = torch.Generator().manual_seed(2)
+    levels = learner.data.levels.clone()
+    noise = torch.randint(0, 256, levels.shape, generator=generator, dtype=torch.int64).to(levels.dtype)
+    found = []
+    for other in (levels, torch.where(asked, levels, noise), torch.where(asked, levels, levels[:, change][:, :1])):
+        other = StumpLearner(SortedLevels.build(other))
+        parts = other, labels, lengths, torch.Generator().manual_seed(0)
+        found.append(fit_switches(*parts, rounds=10, actions=actions))
+    for switches in found[1:]:
+        assert torch.equal(switches.held_out[asked], found[0].held_out[asked])
+        assert torch.equal(switches.thresholds, found[0].thresholds)
+
+
+def test_a_change_that_always_follows_its_cue_and_nothing_else_does_is_made_there():
+    learner, labels, lengths = trajectories()
+    change = labels.diff(prepend=labels[:1]) > 0
+    actions = change.roll(-1).long()
+    found = fit_switches(learner, labels, lengths, torch.Generator().manual_seed(0), rounds=10, actions=actions)
+    assert torch.equal(found.held_out[:, 0] > found.thresholds, change)
+    assert found.detected.tolist() == [1.0]
 
 
 def test_what_came_before_few_changes_is_no_cue():
