@@ -1,4 +1,4 @@
-"""Changes moved to where switch functions fire, so that few inexact ones do not spoil those functions."""
+"""Changes moved to where switch functions fire, so that few inexact ones do not spoil those to come."""
 
 from collections.abc import Callable
 
@@ -8,9 +8,10 @@ from torch import Tensor
 
 from dpmacro.switching import SwitchFunctions, causal_labels, starting_macro
 
-__all__ = ["aligned", "fit_aligned"]
+__all__ = ["aligned", "realigned"]
 
 ALIGNMENTS = 3  # times that changes are moved, at most
+REACH = 10  # frames that a change may be late or early; who fires further off has recognised something else
 
 
 def aligned(
@@ -18,28 +19,35 @@ def aligned(
 ) -> Int64[Tensor, " frames"]:
     """The segmentation with its changes where switch functions that never saw a trajectory make them in it.
 
-    Trajectories in which they would not make the same changes in the same order stay as they are.
+    Trajectories in which they would not make the same changes in the same order, each within `REACH`
+    frames, stay as they are.
     """
     first = starting_macro(labels, lengths)
     told = causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, first)
     parts = [part.split(lengths.tolist()) for part in (labels.cpu(), told)]
-    return torch.cat(
-        [
-            other if torch.equal(own.unique_consecutive(), other.unique_consecutive()) else own
-            for own, other in zip(*parts, strict=True)
-        ]
+    return torch.cat([other if _close(own, other) else own for own, other in zip(*parts, strict=True)])
+
+
+def _close(one: Int64[Tensor, " frames"], other: Int64[Tensor, " frames"]) -> bool:
+    """Whether two segmentations of a trajectory make the same changes, at nearly the same times."""
+    macros, lengths = zip(
+        *(part.unique_consecutive(return_counts=True) for part in (one, other)), strict=True
     )
+    if not torch.equal(*macros):
+        return False
+    early, late = (part.cumsum(0) for part in lengths)
+    return int((early - late).abs().max()) <= REACH
 
 
-def fit_aligned(
+def realigned(
     fit: Callable[[Int64[Tensor, " frames"]], SwitchFunctions],
     labels: Int64[Tensor, " frames"],
     lengths: Int64[Tensor, " trajectories"],
-) -> tuple[Int64[Tensor, " frames"], SwitchFunctions]:
-    """The segmentation with its changes moved to where switch functions fire, and those functions.
+) -> Int64[Tensor, " frames"]:
+    """The segmentation with its changes moved to where switch functions fire that `fit` makes from labels.
 
     Where a change is a frame or two late in a few trajectories, the others tell. Changes are moved as long as
-    more of them are recognised for it, `ALIGNMENTS` times at most; `fit` makes switch functions from labels.
+    more of them are recognised for it, `ALIGNMENTS` times at most.
     """
     switches = fit(labels)
     for _ in range(ALIGNMENTS):
@@ -50,4 +58,4 @@ def fit_aligned(
         if float(again.detected.mean()) <= float(switches.detected.mean()):
             break
         labels, switches = moved, again
-    return labels, switches
+    return labels

@@ -106,9 +106,9 @@ class PlannerOptions:
     """Weak learners of the switch functions, likewise."""
     switch_window: int = 3
     """J, the frames from a change on that are its positive examples."""
-    switch_rounds: int = 200
+    switch_rounds: int = 400
     """Boosting rounds of the switch functions."""
-    switch_drawn: int = 128
+    switch_drawn: int = 32
     """Random columns that a round of stumps searches for them."""
     switch_mirror: bool = True
     """Whether they learn from mirror images, too: they look, and need no mirrored actions."""

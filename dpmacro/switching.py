@@ -4,7 +4,7 @@ For every observed change q -> q' a binary strong classifier H_q^q' (Section IV 
 frames from the change on (positives) from the frames of q (negatives), both sides weighing the same. Its
 threshold is calibrated on trajectories that its training left out. A planner knows what it has just done: a
 switch function may fire only after an action that comes before its changes in demonstrations, its cues, and
-learns only from frames after such an action.
+learns only from frames after such an action: what tells a change from a turn need not tell it from a step.
 """
 
 import itertools
@@ -97,6 +97,7 @@ def fit_switches(
     groups: Int64[Tensor, " trajectories"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,
     actions: Int64[Tensor, " frames"] | None = None,
+    focused: bool = True,
 ) -> SwitchFunctions:
     """Fit a switch function for every change of macro-label that the trajectories show.
 
@@ -115,8 +116,9 @@ def fit_switches(
         groups: trajectories of the same group fall into the same part, like mirror images; alone by default.
         early_stopping: whether every switch function keeps the rounds with the least loss on left-out parts.
         on_round: called after every round with the balanced loss and accuracy over all of them.
-        actions: of every frame, for the cues; without them a switch function may fire after any action, and
-            learns from all frames.
+        actions: of every frame, for the cues; without them a switch function may fire after any action.
+        focused: whether frames after other actions than the cues are no examples. Where some changes are
+            a frame or two late all frames are better ones: the true change is then taken for a frame before.
 
     All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
     be left out, and the calibration uses the training scores.
@@ -139,12 +141,13 @@ def fit_switches(
     asked = torch.ones(n_frames, len(pairs), dtype=torch.bool)
     if actions is not None:
         asked = cued(actions, lengths, cues)
+    shown = asked if focused else torch.ones_like(asked)
     fold_of = folds_of(len(lengths), folds, generator, groups)
     n_fits = int(fold_of.max()) + 2 if fold_of.any() else 1  # the last one sees every trajectory
     weights, targets = zip(
         *(
             _examples(pair, events, fold_of == fold, own, window)
-            for pair, own in zip(pairs, asked.unbind(1), strict=True)
+            for pair, own in zip(pairs, shown.unbind(1), strict=True)
             for fold in [*range(n_fits - 1), -1]
         ),
         strict=True,
@@ -221,16 +224,12 @@ def _examples(
     pair: tuple[int, int],
     events: list[Event],
     left_out: Bool[Tensor, " trajectories"],
-    asked: Bool[Tensor, " frames"],
+    shown: Bool[Tensor, " frames"],
     window: int,
 ) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """Base weights, half a side, and targets of a switch function that never sees what is left out.
-
-    Frames at which it is not asked, those after other actions than its cues, are no examples: what tells a
-    change from frames after a turn need not tell it from those after a step.
-    """
-    weights = torch.zeros(len(asked))
-    targets = torch.zeros(len(asked), dtype=torch.bool)
+    """Base weights, half a side, and targets of a switch function that never sees what is left out."""
+    weights = torch.zeros(len(shown))
+    targets = torch.zeros(len(shown), dtype=torch.bool)
     macro, following = pair
     for event in events:
         if event.macro != macro or left_out[event.trajectory]:
@@ -240,7 +239,7 @@ def _examples(
             positives = slice(event.stop, min(event.stop + window, event.following_stop))
             weights[positives] = 1
             targets[positives] = True
-    weights *= asked
+    weights *= shown
     for side in (targets, ~targets):
         weights[side] /= (2 * weights[side].sum()).clamp(min=1)
     return weights, targets

@@ -5,6 +5,7 @@ switch functions are fitted on them; a policy, its segmentation, pictures and Te
 """
 
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from dpmacro import figures
-from dpmacro.alignment import fit_aligned
+from dpmacro.alignment import realigned
 from dpmacro.choosing import Choice, choose
 from dpmacro.columns import DRAWN, Plan, prepare
 from dpmacro.crossfit import FOLDS
@@ -113,10 +114,9 @@ class Trainer:
             discovery = dpboost.fit(*given, monitor.on_round, self._groups, known)
             mirror = self._mirror and discovery.macros > 1
             learner = self._learners.for_switches(data, features, quantiser, mirror)
-            labels, switches = fit_aligned(
-                lambda moved: self._fit_switches(learner, moved, monitor), discovery.labels, self.lengths
-            )
-            discovery = replace(discovery, labels=labels)
+            fit = partial(self._fit_switches, learner, monitor)
+            labels = realigned(partial(fit, focused=False), discovery.labels, self.lengths)
+            discovery, switches = replace(discovery, labels=labels), fit(labels)
             monitor.close()
             policy = self._policy(features, quantiser, discovery, switches)
             pictures = TrainingPictures(writer, self.folder.figures)
@@ -128,7 +128,7 @@ class Trainer:
         return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
 
     def _fit_switches(
-        self, learner: WeakLearner, labels: Int64[Tensor, " frames"], monitor: Monitor
+        self, learner: WeakLearner, monitor: Monitor, labels: Int64[Tensor, " frames"], focused: bool = True
     ) -> SwitchFunctions:
         planner = self.options.planner
         return fit_switches(
@@ -143,6 +143,7 @@ class Trainer:
             groups=self._groups,
             on_round=monitor.on_round,
             actions=self.actions,
+            focused=focused,
         )
 
     def _dpboost(self, macros: int, max_transitions: int) -> DPBoost:

@@ -1,9 +1,10 @@
 """Changes that are late in a few trajectories, told by the others."""
 
+import pytest
 import torch
 from visible import trajectories
 
-from dpmacro.alignment import aligned, fit_aligned
+from dpmacro.alignment import REACH, aligned, realigned
 from dpmacro.switching import SwitchFunctions, fit_switches
 
 
@@ -18,12 +19,12 @@ def test_changes_move_to_where_switch_functions_fire():
     switches = fit_switches(learner, late, lengths, torch.Generator().manual_seed(0), rounds=10)
     assert switches.detected.tolist() == [0.75]
     assert torch.equal(aligned(switches, late, lengths), labels)
-    found, again = fit_aligned(
+    found = realigned(
         lambda moved: fit_switches(learner, moved, lengths, torch.Generator().manual_seed(0), rounds=10),
         late,
         lengths,
     )
-    assert torch.equal(found, labels) and again.detected.tolist() == [1.0]
+    assert torch.equal(found, labels)
 
 
 def test_changes_stay_where_moving_them_helps_no_switch_function():
@@ -35,7 +36,7 @@ def test_changes_stay_where_moving_them_helps_no_switch_function():
         asked.append(given.tolist())
         return SwitchFunctions([(0, 1)], torch.zeros(1), torch.tensor([0.5]), scores, None)
 
-    found, _ = fit_aligned(fit, labels, lengths)
+    found = realigned(fit, labels, lengths)
     assert asked == [labels.tolist(), [0, 1, 1, 1, 0, 0, 1, 1]] and torch.equal(found, labels)
 
 
@@ -45,3 +46,13 @@ def test_trajectories_with_other_changes_stay_as_they_are():
     switches = SwitchFunctions([(0, 1)], torch.zeros(1), torch.ones(1), scores, None)
     # The first change is moved, the second is never recognised, the third trajectory has none.
     assert aligned(switches, labels, lengths).tolist() == [0, 1, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("off", [-REACH - 1, -REACH, REACH, REACH + 1])
+def test_a_change_is_moved_a_few_frames_at_most(off):
+    labels = (torch.arange(60) >= 30).long()
+    scores = torch.where(torch.arange(60) == 30 + off, 1.0, -1.0)[:, None]
+    switches = SwitchFunctions([(0, 1)], torch.zeros(1), torch.ones(1), scores, None)
+    moved = (torch.arange(60) >= 30 + off).long()
+    expected = moved if abs(off) <= REACH else labels
+    assert torch.equal(aligned(switches, labels, torch.tensor([60])), expected)

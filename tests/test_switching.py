@@ -84,7 +84,11 @@ def test_frames_that_no_cue_precedes_are_no_examples():
     levels = learner.data.levels.clone()
     noise = torch.randint(0, 256, levels.shape, generator=generator, dtype=torch.int64).to(levels.dtype)
     found = []
-    for other in (levels, torch.where(asked, levels, noise), torch.where(asked, levels, levels[:, change][:, :1])):
+    for other in (
+        levels,
+        torch.where(asked, levels, noise),
+        torch.where(asked, levels, levels[:, change][:, :1]),
+    ):
         other = StumpLearner(SortedLevels.build(other))
         parts = other, labels, lengths, torch.Generator().manual_seed(0)
         found.append(fit_switches(*parts, rounds=10, actions=actions))
@@ -97,7 +101,9 @@ def test_a_change_that_always_follows_its_cue_and_nothing_else_does_is_made_ther
     learner, labels, lengths = trajectories()
     change = labels.diff(prepend=labels[:1]) > 0
     actions = change.roll(-1).long()
-    found = fit_switches(learner, labels, lengths, torch.Generator().manual_seed(0), rounds=10, actions=actions)
+    found = fit_switches(
+        learner, labels, lengths, torch.Generator().manual_seed(0), rounds=10, actions=actions
+    )
     assert torch.equal(found.held_out[:, 0] > found.thresholds, change)
     assert found.detected.tolist() == [1.0]
 
