@@ -11,7 +11,6 @@ from dpmacro.switching import SwitchFunctions, causal_labels, starting_macro
 __all__ = ["aligned", "realigned"]
 
 ALIGNMENTS = 3  # times that changes are moved, at most
-REACH = 10  # frames that a change may be late or early; who fires further off has recognised something else
 
 
 def aligned(
@@ -19,24 +18,17 @@ def aligned(
 ) -> Int64[Tensor, " frames"]:
     """The segmentation with its changes where switch functions that never saw a trajectory make them in it.
 
-    Trajectories in which they would not make the same changes in the same order, each within `REACH`
-    frames, stay as they are.
+    Trajectories in which they would not make the same changes in the same order stay as they are.
     """
     first = starting_macro(labels, lengths)
     told = causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, first)
     parts = [part.split(lengths.tolist()) for part in (labels.cpu(), told)]
-    return torch.cat([other if _close(own, other) else own for own, other in zip(*parts, strict=True)])
-
-
-def _close(one: Int64[Tensor, " frames"], other: Int64[Tensor, " frames"]) -> bool:
-    """Whether two segmentations of a trajectory make the same changes, at nearly the same times."""
-    macros, lengths = zip(
-        *(part.unique_consecutive(return_counts=True) for part in (one, other)), strict=True
+    return torch.cat(
+        [
+            other if torch.equal(own.unique_consecutive(), other.unique_consecutive()) else own
+            for own, other in zip(*parts, strict=True)
+        ]
     )
-    if not torch.equal(*macros):
-        return False
-    early, late = (part.cumsum(0) for part in lengths)
-    return int((early - late).abs().max()) <= REACH
 
 
 def realigned(

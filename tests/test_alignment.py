@@ -1,10 +1,9 @@
 """Changes that are late in a few trajectories, told by the others."""
 
-import pytest
 import torch
 from visible import trajectories
 
-from dpmacro.alignment import REACH, aligned, realigned
+from dpmacro.alignment import aligned, realigned
 from dpmacro.switching import SwitchFunctions, fit_switches
 
 
@@ -46,13 +45,3 @@ def test_trajectories_with_other_changes_stay_as_they_are():
     switches = SwitchFunctions([(0, 1)], torch.zeros(1), torch.ones(1), scores, None)
     # The first change is moved, the second is never recognised, the third trajectory has none.
     assert aligned(switches, labels, lengths).tolist() == [0, 1, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1]
-
-
-@pytest.mark.parametrize("off", [-REACH - 1, -REACH, REACH, REACH + 1])
-def test_a_change_is_moved_a_few_frames_at_most(off):
-    labels = (torch.arange(60) >= 30).long()
-    scores = torch.where(torch.arange(60) == 30 + off, 1.0, -1.0)[:, None]
-    switches = SwitchFunctions([(0, 1)], torch.zeros(1), torch.ones(1), scores, None)
-    moved = (torch.arange(60) >= 30 + off).long()
-    expected = moved if abs(off) <= REACH else labels
-    assert torch.equal(aligned(switches, labels, torch.tensor([60])), expected)
