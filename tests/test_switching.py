@@ -69,6 +69,11 @@ def test_a_switch_function_may_fire_after_what_came_before_its_changes():
     before = actions.roll(1)
     before[starts] = 0
     may_fire = before > 0  # 1 and 2 come before six changes each
+    unfocused = fit_switches(
+        *parts, torch.Generator().manual_seed(0), rounds=10, actions=actions, focused=False
+    )
+    assert unfocused.cues == bound.cues
+    assert torch.equal(unfocused.held_out[may_fire], free.held_out[may_fire])
     assert (bound.held_out[~may_fire] == -MARGIN_LIMIT).all()
     assert bound.detected.tolist() == [1.0]
 

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from test_demonstrations import SPOILED, root  # noqa: F401  a fixture
 
 import train
-from dpmacro import cli
+from dpmacro import cli, training
 from dpmacro.columns import GIB, Plan
 from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
@@ -160,6 +160,23 @@ def test_every_way_to_boost_leaves_a_policy_of_its_kind(recorded, tmp_path, monk
     assert names == kinds
     assert MacroPolicy.load(pretrained).config.macros == 2
     assert "all sorted" in capsys.readouterr().out
+
+
+def test_changes_are_aligned_by_all_frames_and_made_by_those_after_their_cues(
+    recorded, tmp_path, monkeypatch
+):
+    fits, fit = [], training.fit_switches
+
+    def noted(*given, **options):
+        fits.append((options["focused"], fit(*given, **options)))
+        return fits[-1][1]
+
+    monkeypatch.setattr(training, "fit_switches", noted)
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *SMALL)
+    assert [focused for focused, _ in fits] == [False] * (len(fits) - 1) + [True]
+    policy = MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model")
+    assert len(fits) > 1
+    assert list(policy.config.thresholds) == fits[-1][1].thresholds.tolist()
 
 
 def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch, capsys):
