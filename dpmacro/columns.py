@@ -17,7 +17,7 @@ from dpmacro.features import FeatureSet, frames_before
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.quantising import Quantiser
 
-__all__ = ["Plan", "prepare", "with_mirror_images"]
+__all__ = ["Demand", "Plan", "prepare", "with_mirror_images"]
 
 GIB = 2**30
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
@@ -26,6 +26,28 @@ SAMPLED = 20_000  # frames that choose the cuts, evenly spaced, where there are 
 SORTED = 4  # bytes of a frame's place in a column's order
 DRAWN = SORTED + 1  # likewise where columns are sorted when drawn, from a copy of their levels
 LEAST_COLUMNS = 512  # as many as judging a segmentation searches
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What training asks of memory.
+
+    Attributes:
+        n_frames: of all demonstrations.
+        image_bytes: of one frame.
+        n_columns: of the feature set.
+        table_bytes: scores, losses and weights of one frame while boosting.
+        copies: of every frame's columns, like mirror images, that switch functions learn from as well.
+        switch_bytes: of one frame while they learn, boosting being over: scores, losses, weights, sorted
+            columns and copied images, those of the copies included.
+    """
+
+    n_frames: int
+    image_bytes: int
+    n_columns: int
+    table_bytes: int
+    copies: int = 0
+    switch_bytes: int = 0
 
 
 @dataclass(frozen=True)
@@ -45,38 +67,18 @@ class Plan:
     gibibytes: float
 
     @classmethod
-    def fitting(
-        cls,
-        n_frames: int,
-        image_bytes: int,
-        n_columns: int,
-        table_bytes: int,
-        limit: float,
-        copies: int = 0,
-        switch_bytes: int = 0,
-    ) -> "Plan":
+    def fitting(cls, demand: Demand, limit: float) -> "Plan":
         """The richest plan within `limit` GiB: first all columns sorted, then all columns, then most of them.
-
-        Args:
-            n_frames: of all demonstrations.
-            image_bytes: of one frame.
-            n_columns: of the feature set.
-            table_bytes: scores, losses and weights of one frame while boosting.
-            limit: GiB.
-            copies: of every frame, like mirror images, that switch functions learn from as well.
-            switch_bytes: of one frame while they learn, boosting being over: scores, losses and weights, and
-                sorted columns, all times 1 + `copies`.
 
         Raises ValueError with the least limit where there is no room for `LEAST_COLUMNS` columns.
         """
-        fixed = LIBRARIES + n_frames * image_bytes
-        sampled = 2 * min(n_frames, SAMPLED) * image_bytes
+        n_frames, n_columns = demand.n_frames, demand.n_columns
+        fixed = LIBRARIES + n_frames * demand.image_bytes
+        sampled = 2 * min(n_frames, SAMPLED) * demand.image_bytes
         quantising = sampled + 4 * min(VALUES, n_columns * n_frames)
-        boosting = n_frames * table_bytes
-
-        switching = n_frames * switch_bytes
-
-        copied = 1 + copies if copies else 0  # the frames' own levels are copied, too
+        boosting = n_frames * demand.table_bytes
+        switching = n_frames * demand.switch_bytes
+        copied = 1 + demand.copies if demand.copies else 0  # the frames' own levels are copied, too
 
         def most(columns: int, drawn: int) -> float:
             """Of the plan; all columns are sorted where `drawn` is 0."""

@@ -18,6 +18,7 @@ __all__ = [
 ]
 
 PLANNERS = ("dpboost", "baseline")
+SEEDS = 2**63  # those that generators take
 LEARNERS = ("stumps", "convnet", "mixed")
 
 
@@ -208,8 +209,8 @@ class TrainOptions:
     def __post_init__(self) -> None:
         if self.dataset.root is None:
             raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
-        if self.seed < 0:
-            raise ValueError(f"seed is {self.seed}: give 0 or more")
+        if not 0 <= self.seed < SEEDS:
+            raise ValueError(f"seed is {self.seed}: give 0 or more, and less than {SEEDS}")
         try:
             torch.empty(0, device=self.device)
         except (RuntimeError, AssertionError) as error:

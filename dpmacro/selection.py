@@ -22,7 +22,8 @@ from dpmacro.crossfit import LeftOutScores, bounded_deviance, left_out_scores
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
 from dpmacro.marginals import costs_without, margins
-from dpmacro.switching import SwitchFunctions, causal_labels, fit_switches, starting_macro
+from dpmacro.switch_training import SwitchSettings, fit_switches
+from dpmacro.switching import SwitchFunctions, causal_labels, starting_macro
 
 __all__ = [
     "Judged",
@@ -192,7 +193,8 @@ def _switches(
     """
     generator = torch.Generator().manual_seed(task.seed)
     learner = StumpLearner(data, drawn=columns)
-    return fit_switches(learner, labels, task.lengths, generator, rounds=SWITCH_ROUNDS, groups=task.groups)
+    settings = SwitchSettings(rounds=SWITCH_ROUNDS)
+    return fit_switches(learner, labels, task.lengths, generator, settings, groups=task.groups)
 
 
 def _detected(switches: SwitchFunctions) -> float:

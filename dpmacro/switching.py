@@ -1,37 +1,27 @@
-"""Switch functions: when to leave a macro-action, learned from the change points of a segmentation.
+"""Switch functions: when to leave a macro-action (Section IV of the paper).
 
-For every observed change q -> q' a binary strong classifier H_q^q' (Section IV of the paper) separates the J
-frames from the change on (positives) from the frames of q (negatives), both sides weighing the same. Its
-threshold is calibrated on trajectories that its training left out. A planner knows what it has just done: a
-switch function may fire only after an action that comes before its changes in demonstrations, its cues, and
-learns only from frames after such an action: what tells a change from a turn need not tell it from a step.
+For every observed change q -> q' a binary strong classifier H_q^q' tells, frame by frame, whether it is due;
+`dpmacro/switch_training.py` fits them. A planner knows what it has just done: a switch function may fire only
+after an action that comes before its changes in demonstrations, its cues.
 """
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from dpmacro.boosting import MARGIN_LIMIT, Boosting, Round, exponentials_of
-from dpmacro.folds import folds_of
-from dpmacro.learners import StrongClassifier, WeakLearner
-from dpmacro.stopping import BestRound
+from dpmacro.learners import StrongClassifier
 
 __all__ = [
     "Event",
     "SwitchFunctions",
     "causal_labels",
     "cued",
-    "fit_switches",
     "macro_segments",
     "starting_macro",
 ]
-
-COVERED = 0.75  # of the changes, by their cues
-FOLDS = 5  # of trajectories; one function for each leaves it out, one more sees all
 
 
 @dataclass(frozen=True)
@@ -84,106 +74,6 @@ def starting_macro(labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " tr
     return int(labels[starts].mode().values)
 
 
-def fit_switches(
-    learner: WeakLearner,
-    labels: Int64[Tensor, " frames"],
-    lengths: Int64[Tensor, " trajectories"],
-    generator: torch.Generator,
-    window: int = 3,
-    rounds: int = 60,
-    shrinkage: float = 0.2,
-    folds: int = FOLDS,
-    early_stopping: bool = False,
-    groups: Int64[Tensor, " trajectories"] | None = None,
-    on_round: Callable[[Round], None] = lambda _: None,
-    actions: Int64[Tensor, " frames"] | None = None,
-    focused: bool = True,
-) -> SwitchFunctions:
-    """Fit a switch function for every change of macro-label that the trajectories show.
-
-    Args:
-        learner: finds the weak hypotheses; holds the frames, and copies of all of them after them if
-            any, like mirror images: examples too, of which no threshold or cue is taken.
-        labels, lengths: the segmentation.
-        window: J >= 1, the positive frames from a change on. Later ones show what the next macro-action
-            does, which a planner that waits for the change never sees: with J = 10 a correction near the
-            flag passes for the change.
-        rounds: boosting rounds.
-        shrinkage: factor in (0, 1] on every weak hypothesis.
-        folds: parts that trajectories are dealt into by `generator`; each part is scored by a switch function
-            that never saw it. The threshold is the middle of the widest range in which most left-out
-            segments fire at the first frame of their change and not before.
-        groups: trajectories of the same group fall into the same part, like mirror images; alone by default.
-        early_stopping: whether every switch function keeps the rounds with the least loss on left-out parts.
-        on_round: called after every round with the balanced loss and accuracy over all of them.
-        actions: of every frame, for the cues; without them a switch function may fire after any action.
-        focused: whether frames after other actions than the cues are no examples. Where some changes are
-            a frame or two late all frames are better ones: the true change is then taken for a frame before.
-
-    All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
-    be left out, and the calibration uses the training scores.
-
-    Raises ValueError where the learner does not hold a whole number of copies of the frames.
-    """
-    if window < 1 or rounds < 1:
-        raise ValueError(f"window is {window} and rounds {rounds}: both must be 1 or more")
-    if folds < 2:
-        raise ValueError(f"folds is {folds}: give 2 or more, so that something can be left out")
-    n_frames = len(labels)
-    copies, rest = divmod(learner.n_frames, n_frames)
-    if rest or not copies:
-        raise ValueError(f"the learner holds {learner.n_frames} frames and {n_frames} are labelled")
-    events = macro_segments(labels, lengths)
-    pairs = sorted({(event.macro, event.following) for event in events if event.following is not None})
-    if not pairs:
-        return SwitchFunctions([], torch.zeros(0), torch.zeros(0), torch.zeros(n_frames, 0), None)
-    cues = () if actions is None else tuple(_cues(pair, events, actions) for pair in pairs)
-    asked = torch.ones(n_frames, len(pairs), dtype=torch.bool)
-    if actions is not None:
-        asked = cued(actions, lengths, cues)
-    shown = asked if focused else torch.ones_like(asked)
-    fold_of = folds_of(len(lengths), folds, generator, groups)
-    n_fits = int(fold_of.max()) + 2 if fold_of.any() else 1  # the last one sees every trajectory
-    weights, targets = zip(
-        *(
-            _examples(pair, events, fold_of == fold, own, window)
-            for pair, own in zip(pairs, shown.unbind(1), strict=True)
-            for fold in [*range(n_fits - 1), -1]
-        ),
-        strict=True,
-    )
-    n_problems = len(pairs) * n_fits
-    all_targets = torch.stack(targets, 1).repeat(copies, 1)[:, :, None].to(learner.device)
-    boosting = Boosting(learner, all_targets, n_problems, shrinkage, generator)
-    base = (torch.stack(weights, 1).repeat(copies, 1) / copies).to(learner.device)
-    own_fit = fold_of.clamp(max=n_fits - 1).repeat_interleave(lengths).to(learner.device)
-    last = torch.arange(n_fits - 1, n_problems, n_fits, device=learner.device)
-    stopping, kept = BestRound(rounds), None
-    held_out = torch.zeros(n_frames, len(pairs), device=learner.device)
-    for number in range(1, rounds + 1):
-        ended = boosting.round(base)
-        right = ((boosting.scores > 0) == boosting.targets)[:, :, 0]
-        accuracy = float((base * right).sum() / n_problems)
-        loss = float((base * boosting.losses()).sum() / n_problems)
-        over = tuple(int(k) // n_fits for k in ended if int(k) % n_fits == n_fits - 1)
-        on_round(Round("switch", number, rounds, loss, accuracy, None, ended=over))
-        scores = boosting.scores[:n_frames, :, 0].unflatten(1, (len(pairs), n_fits))
-        scores = scores.gather(2, own_fit[:, None, None].expand(-1, len(pairs), 1)).squeeze(2)
-        costs = exponentials_of(scores[:, :, None], boosting.targets[:n_frames, last])[:, :, 0]
-        exhausted = stopping.exhausted((base[:n_frames, last] * costs).sum(0))
-        if early_stopping:
-            kept = stopping.best.repeat_interleave(n_fits)
-            held_out = torch.where(stopping.best == number, scores, held_out)
-        else:
-            held_out = scores
-        if bool(boosting.ended.all()) or (early_stopping and exhausted):
-            break
-    held_out = held_out.cpu().masked_fill(~asked, -MARGIN_LIMIT)
-    calibrated = [_calibrate(_peaks(pair, events, held_out[:, p])) for p, pair in enumerate(pairs)]
-    thresholds, detected = torch.tensor(calibrated).unbind(1)
-    return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong(kept).select(last), cues)
-
-
 def cued(
     actions: Int64[Tensor, " frames"],
     lengths: Int64[Tensor, " trajectories"],
@@ -218,69 +108,3 @@ def causal_labels(
             labels[frame:stop] = macro
             frame += 1
     return labels
-
-
-def _examples(
-    pair: tuple[int, int],
-    events: list[Event],
-    left_out: Bool[Tensor, " trajectories"],
-    shown: Bool[Tensor, " frames"],
-    window: int,
-) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """Base weights, half a side, and targets of a switch function that never sees what is left out."""
-    weights = torch.zeros(len(shown))
-    targets = torch.zeros(len(shown), dtype=torch.bool)
-    macro, following = pair
-    for event in events:
-        if event.macro != macro or left_out[event.trajectory]:
-            continue
-        weights[event.start : event.stop] = 1
-        if event.following == following:
-            positives = slice(event.stop, min(event.stop + window, event.following_stop))
-            weights[positives] = 1
-            targets[positives] = True
-    weights *= shown
-    for side in (targets, ~targets):
-        weights[side] /= (2 * weights[side].sum()).clamp(min=1)
-    return weights, targets
-
-
-def _cues(pair: tuple[int, int], events: list[Event], actions: Int64[Tensor, " frames"]) -> tuple[int, ...]:
-    """The actions that come right before most changes of a pair, the fewest that cover `COVERED` of them.
-
-    Not all: a segmentation that is a frame or two late has the action after the change there.
-    """
-    before = [event.stop - 1 for event in events if (event.macro, event.following) == pair]
-    counts = actions.cpu()[before].bincount()
-    order = counts.argsort(descending=True, stable=True)
-    enough = int((counts[order].cumsum(0) < COVERED * len(before)).sum()) + 1
-    return tuple(sorted(order[:enough].tolist()))
-
-
-def _peaks(
-    pair: tuple[int, int], events: list[Event], scores: Float[Tensor, " frames"]
-) -> list[tuple[float, float]]:
-    """Highest score before the change and the score at its first frame, for every segment that the pair ends.
-
-    Only the first frame counts: a planner that has not changed by then will not see the frames that follow.
-    """
-    return [
-        (float(scores[event.start : event.stop].max()), float(scores[event.stop]))
-        for event in events
-        if (event.macro, event.following) == pair
-    ]
-
-
-def _calibrate(peaks: list[tuple[float, float]]) -> tuple[float, float]:
-    """The threshold under which most segments are left in time, and the share of them that are.
-
-    A segment is left in time where before <= threshold < at. The middle of the widest best range wins; where
-    no threshold serves any segment, zero, the switch function's own decision boundary, stands.
-    """
-    levels = sorted({value for peak in peaks for value in peak})
-    ranges = [
-        (sum(before <= low and high <= at for before, at in peaks), high - low, (low + high) / 2)
-        for low, high in itertools.pairwise(levels)
-    ]
-    in_time, _, threshold = max(ranges, default=(0, 0.0, 0.0))
-    return (threshold, in_time / len(peaks)) if in_time else (0.0, 0.0)

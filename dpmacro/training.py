@@ -18,7 +18,7 @@ from tqdm import tqdm
 from dpmacro import figures
 from dpmacro.alignment import realigned
 from dpmacro.choosing import Choice, choose
-from dpmacro.columns import DRAWN, Plan, prepare
+from dpmacro.columns import DRAWN, Demand, Plan, prepare
 from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.discovery import DPBoost, DPBoostResult
@@ -34,13 +34,15 @@ from dpmacro.quantising import Quantiser
 from dpmacro.recovery import Stretches
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
-from dpmacro.switching import FOLDS as SWITCH_FOLDS
-from dpmacro.switching import SwitchFunctions, fit_switches, starting_macro
+from dpmacro.switch_training import FOLDS as SWITCH_FOLDS
+from dpmacro.switch_training import SwitchSettings, fit_switches
+from dpmacro.switching import SwitchFunctions, starting_macro
 from dpmacro.training_pictures import TrainingPictures
 from dpmacro.weak_learners import WeakLearners, rounds_of, shrinkage_of
 
 __all__ = ["Trainer", "TrainingResult", "plain_options"]
 
+MIRRORED = 3  # images for one while networks get mirror images: the mirror image, and both in one tensor
 TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
 
 
@@ -114,9 +116,10 @@ class Trainer:
             discovery = dpboost.fit(*given, monitor.on_round, self._groups, known)
             mirror = self._mirror and discovery.macros > 1
             learner = self._learners.for_switches(data, features, quantiser, mirror)
+            settings = self._switch_settings
             fit = partial(self._fit_switches, learner, monitor)
-            labels = realigned(partial(fit, focused=False), discovery.labels, self.lengths)
-            discovery, switches = replace(discovery, labels=labels), fit(labels)
+            labels = realigned(partial(fit, replace(settings, focused=False)), discovery.labels, self.lengths)
+            discovery, switches = replace(discovery, labels=labels), fit(settings, labels)
             monitor.close()
             policy = self._policy(features, quantiser, discovery, switches)
             pictures = TrainingPictures(writer, self.folder.figures)
@@ -127,23 +130,33 @@ class Trainer:
         pretrained = self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
         return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
 
-    def _fit_switches(
-        self, learner: WeakLearner, monitor: Monitor, labels: Int64[Tensor, " frames"], focused: bool = True
-    ) -> SwitchFunctions:
+    @property
+    def _switch_settings(self) -> SwitchSettings:
         planner = self.options.planner
+        kind = planner.switch_learner
+        return SwitchSettings(
+            rounds=rounds_of(planner, kind, planner.switch_rounds),
+            window=planner.switch_window,
+            shrinkage=shrinkage_of(planner, kind, planner.switch_shrinkage),
+            early_stopping=planner.early_stopping,
+        )
+
+    def _fit_switches(
+        self,
+        learner: WeakLearner,
+        monitor: Monitor,
+        settings: SwitchSettings,
+        labels: Int64[Tensor, " frames"],
+    ) -> SwitchFunctions:
         return fit_switches(
             learner,
             labels,
             self.lengths,
             torch.Generator().manual_seed(self.options.seed),
-            window=planner.switch_window,
-            rounds=rounds_of(planner, planner.switch_learner, planner.switch_rounds),
-            shrinkage=shrinkage_of(planner, planner.switch_learner, planner.switch_shrinkage),
-            early_stopping=planner.early_stopping,
+            settings,
             groups=self._groups,
-            on_round=monitor.on_round,
             actions=self.actions,
-            focused=focused,
+            on_round=monitor.on_round,
         )
 
     def _dpboost(self, macros: int, max_transitions: int) -> DPBoost:
@@ -186,10 +199,18 @@ class Trainer:
         most = max(macros for macros, _ in self._settings)
         tried = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
         tables = TABLES * 4 * tried * most * (int(self.actions.max()) + 1)
-        copies = int(self._mirror and most > 1)
-        switches = TABLES * 4 * most * (most - 1) * (SWITCH_FOLDS + 1) + DRAWN * planner.switch_drawn
-        sizes = n_frames, self.demonstrations.images[0].size, features.count, tables, planner.memory_limit
-        return features, Plan.fitting(*sizes, copies, (1 + copies) * switches)
+        image_bytes, mirror = self.demonstrations.images[0].size, self._mirror and most > 1
+        stumps, networks = planner.switch_learner != "convnet", planner.switch_learner != "stumps"
+        switches = TABLES * 4 * most * (most - 1) * (SWITCH_FOLDS + 1) + stumps * DRAWN * planner.switch_drawn
+        demand = Demand(
+            n_frames,
+            image_bytes,
+            features.count,
+            tables,
+            copies=int(mirror and stumps),
+            switch_bytes=(1 + mirror) * switches + (mirror and networks) * MIRRORED * image_bytes,
+        )
+        return features, Plan.fitting(demand, planner.memory_limit)
 
     def _prepare(self) -> tuple[FeatureSet, Quantiser, SortedLevels]:
         """Features of every frame, quantised and, where memory allows, sorted."""

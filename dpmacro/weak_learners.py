@@ -61,7 +61,7 @@ class WeakLearners:
     ) -> WeakLearner:
         """The weak learner of the switch functions; with `mirror` it holds mirror images after the frames."""
         planner = self._planner
-        if mirror:
+        if mirror and planner.switch_learner != "convnet":  # which looks at images alone
             data = with_mirror_images(data, self._images, self._lengths, features, quantiser)
         stumps = StumpLearner(data, planner.switch_drawn)
         return self._of_kind(planner.switch_learner, planner.switch_rounds, stumps, mirror)

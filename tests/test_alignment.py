@@ -4,7 +4,8 @@ import torch
 from visible import trajectories
 
 from dpmacro.alignment import aligned, realigned
-from dpmacro.switching import SwitchFunctions, fit_switches
+from dpmacro.switch_training import SwitchSettings, fit_switches
+from dpmacro.switching import SwitchFunctions
 
 
 def test_changes_move_to_where_switch_functions_fire():
@@ -15,15 +16,15 @@ def test_changes_move_to_where_switch_functions_fire():
             for place, part in enumerate(labels.split(lengths.tolist()))
         ]
     )
-    switches = fit_switches(learner, late, lengths, torch.Generator().manual_seed(0), rounds=10)
+
+    def fit(given):
+        settings = SwitchSettings(rounds=10)
+        return fit_switches(learner, given, lengths, torch.Generator().manual_seed(0), settings)
+
+    switches = fit(late)
     assert switches.detected.tolist() == [0.75]
     assert torch.equal(aligned(switches, late, lengths), labels)
-    found = realigned(
-        lambda moved: fit_switches(learner, moved, lengths, torch.Generator().manual_seed(0), rounds=10),
-        late,
-        lengths,
-    )
-    assert torch.equal(found, labels)
+    assert torch.equal(realigned(fit, late, lengths), labels)
 
 
 def test_changes_stay_where_moving_them_helps_no_switch_function():

@@ -23,7 +23,7 @@ from dpmacro.policy_config import PolicyConfig
 from dpmacro.search import Search
 from dpmacro.segmentation import transition_counts
 from dpmacro.selection import Task, judge
-from dpmacro.switching import fit_switches
+from dpmacro.switch_training import SwitchSettings, fit_switches
 
 SHAPE = (6, 8)
 LENGTHS = np.array([40, 25, 35])
@@ -57,7 +57,7 @@ def train(demonstrations, macros=2, bound=1, truth=None, **options):
         judged = judge(data, task, truth[None])
         search = Search(task, Alternated(truth[None], torch.zeros(1, 1)), tuple(judged), 0)
     found = DPBoost(macros, bound, **chosen).fit(data, actions, lengths, search=search)
-    switches = fit_switches(StumpLearner(data), found.labels, lengths, generator, rounds=20)
+    switches = fit_switches(StumpLearner(data), found.labels, lengths, generator, SwitchSettings(rounds=20))
     config = PolicyConfig(
         "dpboost",
         found.macros,

@@ -6,19 +6,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpmacro import columns
-from dpmacro.columns import GIB, LEAST_COLUMNS, LIBRARIES, Plan, prepare, with_mirror_images
+from dpmacro.columns import GIB, LEAST_COLUMNS, LIBRARIES, Demand, Plan, prepare, with_mirror_images
 from dpmacro.features import make_features, previous_images
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.quantising import Quantiser
 
 
 def test_the_sizes_of_the_goal():
-    plan = Plan.fitting(17_000, 9216, 18_432, 120, 2.5)
+    plan = Plan.fitting(Demand(17_000, 9216, 18_432, 120), 2.5)
     assert (plan.columns, plan.drawn) == (18_432, 0)
-    large = Plan.fitting(200_000, 9216, 4096, 7680, 6.0)  # 2 macro-actions, 32 restarts, 3 actions
+    large = Plan.fitting(Demand(200_000, 9216, 4096, 7680), 6.0)  # 2 macro-actions, 32 restarts, 3 actions
     assert large.columns == 4096 and LEAST_COLUMNS < large.drawn < 4096
-    assert 512 <= Plan.fitting(200_000, 9216, 18_432, 7680, 5.0).columns < 18_432
-    mirrored = Plan.fitting(200_000, 9216, 4096, 11_520, 6.0, copies=1, switch_bytes=3200)
+    assert 512 <= Plan.fitting(Demand(200_000, 9216, 18_432, 7680), 5.0).columns < 18_432
+    mirrored = Plan.fitting(Demand(200_000, 9216, 4096, 11_520, copies=1, switch_bytes=3200), 6.0)
     assert mirrored.columns == 4096
 
 
@@ -35,7 +35,7 @@ def test_a_plan_stays_within_the_limit_and_uses_what_there_is(
     n_frames, n_columns, table_bytes, limit, copies, switch_bytes
 ):
     try:
-        plan = Plan.fitting(n_frames, 9216, n_columns, table_bytes, limit, copies, switch_bytes)
+        plan = Plan.fitting(Demand(n_frames, 9216, n_columns, table_bytes, copies, switch_bytes), limit)
     except ValueError as error:
         assert f"memory_limit is {limit:g} GiB" in str(error)
         least = max(6, 2 + copies) * min(LEAST_COLUMNS, n_columns)

@@ -167,8 +167,8 @@ def test_changes_are_aligned_by_all_frames_and_made_by_those_after_their_cues(
 ):
     fits, fit = [], training.fit_switches
 
-    def noted(*given, **options):
-        fits.append((options["focused"], fit(*given, **options)))
+    def noted(*given, **named):
+        fits.append((given[4].focused, fit(*given, **named)))
         return fits[-1][1]
 
     monkeypatch.setattr(training, "fit_switches", noted)
@@ -192,15 +192,41 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
     assert re.search(r"columns +150 of 150, \d+ drawn at a time", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize(("mirror", "copies"), [("true", 1), ("false", 0)])
-def test_the_memory_of_mirror_images_is_planned(recorded, tmp_path, monkeypatch, mirror, copies):
+@pytest.mark.parametrize(
+    ("mirror", "learner", "copies", "images"),
+    [
+        ("true", "stumps", 1, 0),
+        ("false", "stumps", 0, 0),
+        ("true", "convnet", 0, 3),
+        ("true", "mixed", 1, 3),
+        ("false", "convnet", 0, 0),
+    ],
+)
+def test_the_memory_of_mirror_images_is_planned(
+    recorded, tmp_path, monkeypatch, mirror, learner, copies, images
+):
     fitting, given = Plan.fitting, []
-    monkeypatch.setattr(Plan, "fitting", lambda *sizes: given.append(sizes) or fitting(*sizes))
-    options = [f"--planner.switch_mirror={mirror}", *SMALL]
+    monkeypatch.setattr(Plan, "fitting", lambda *asked: given.append(asked) or fitting(*asked))
+    options = [f"--planner.switch_mirror={mirror}", f"--planner.switch_learner={learner}", *SMALL]
+    options += ["--planner.convnet.rounds=1", "--planner.switch_rounds=1"]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
-    [sizes] = given
-    assert sizes[5] == copies
-    assert sizes[6] > (1 + copies) * 4 * 2  # a score of either direction of change at least
+    [(demand, _)] = given
+    assert demand.copies == copies
+    scores = (2 if mirror == "true" else 1) * 4 * 2  # of either direction of change
+    assert demand.switch_bytes > scores + images * demand.image_bytes
+    assert demand.switch_bytes < 3000 + images * demand.image_bytes
+
+
+def test_networks_mirror_images_and_need_no_mirrored_columns(recorded, tmp_path, monkeypatch):
+    held, fit = [], training.fit_switches
+    monkeypatch.setattr("dpmacro.weak_learners.with_mirror_images", None)
+    monkeypatch.setattr(
+        training, "fit_switches", lambda *given, **named: held.append(given[0]) or fit(*given, **named)
+    )
+    options = ["--planner.switch_learner=convnet", "--planner.convnet.rounds=1", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    frames = len(Demonstrations.load(recorded).images)
+    assert {learner.n_frames for learner in held} == {2 * frames}
 
 
 def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monkeypatch):
@@ -238,6 +264,7 @@ MISTAKES = {
     "unknown features": (["--dataset.root={data}", "--planner.features=hog"], "planner.features is 'hog'"),
     "no device": (["--dataset.root={data}", "--device=cuda:99"], "give --device=cpu"),
     "negative seed": (["--dataset.root={data}", "--seed=-1"], "seed is -1"),
+    "seed that no generator takes": (["--dataset.root={data}", f"--seed={2**63}"], "less than"),
     "shrinkage": (["--dataset.root={data}", "--planner.shrinkage=0"], "planner.shrinkage is 0"),
     "unknown learner": (["--dataset.root={data}", "--planner.learner=forest"], "planner.learner is 'forest'"),
     "no rounds of networks": (

@@ -12,7 +12,7 @@ from dpmacro.learners.ensemble import Ensemble, InTurn, classifier_from, classif
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
 from dpmacro.quantising import Quantiser
-from dpmacro.switching import fit_switches
+from dpmacro.switch_training import SwitchSettings, fit_switches
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SIDE = 12
@@ -199,7 +199,8 @@ def test_switch_functions_of_convnets_detect_a_change():
     images[labels == 1, : SIDE // 2] = 220
     learner = convnets(images, epochs=4)
     generator = torch.Generator().manual_seed(0)
-    switches = fit_switches(learner, labels, lengths, generator, rounds=2, shrinkage=0.5, folds=2)
+    settings = SwitchSettings(rounds=2, shrinkage=0.5, folds=2)
+    switches = fit_switches(learner, labels, lengths, generator, settings)
     assert switches.pairs == [(0, 1)] and float(switches.detected[0]) == 1
     scores = switches.classifier.scores(frames_of(learner))
     assert scores.shape == (120, 1, 1)
