@@ -13,7 +13,6 @@ in `figures/` and TensorBoard events show how.
 
 import json
 import time
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
@@ -25,10 +24,10 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from dpmacro import cli
-from dpmacro.causes import blue_step, failure_causes, first_change
+from dpmacro.causes import failure_causes
 from dpmacro.files import replacing
-from dpmacro.outcomes import SuccessSummary, success_summary
-from dpmacro.rollouts import NO_MACRO, Episode, Moment, PlannerSource, iter_episodes, replay
+from dpmacro.outcomes import success_summary
+from dpmacro.rollouts import Episode, Moment, PlannerSource, iter_episodes, replay
 from dpmacro.worlds.two_flags import ACTIONS, TwoFlagsConfig
 
 # Every worker process imports this file again: what only the parent needs is imported where it is used.
@@ -121,6 +120,9 @@ def main(options: EvalOptions) -> None:
 
 
 def count_successes(options: EvalOptions) -> None:
+    """Run the planner in its world; print how it fared, and write it down."""
+    from dpmacro.run_report import eval_info, run_text, write_scalars
+
     source, name, stored = planner(options.policy)
     given = {option: value for option, value in vars(options.world).items() if value is not None}
     try:
@@ -141,9 +143,9 @@ def count_successes(options: EvalOptions) -> None:
         [int(episode.macros[-1]) for episode in episodes],
     )
     causes = failure_causes(episodes)
-    print(report(summary, seconds, causes, sum(episode.loop > 0 for episode in episodes)))
+    print(run_text(summary, seconds, causes, sum(episode.loop > 0 for episode in episodes)))
     videos = write_videos(source, world, episodes, options.videos, output_dir / "videos" / f"{WORLD}_0")
-    info = eval_info(episodes, summary, causes, seconds, videos)
+    info = eval_info(WORLD, episodes, summary, causes, seconds, videos)
     info["dpmacro"] |= {
         "planner": name,
         "policy_path": source.path and str(source.path),
@@ -227,26 +229,6 @@ def run(source: PlannerSource, world: dict[str, Any], seeds: Sequence[int], work
     return episodes
 
 
-def report(summary: SuccessSummary, seconds: float, causes: Sequence[str], loops: int) -> str:
-    """The result for people; `loops` is the number of runs that repeat themselves."""
-    low, high = summary.interval
-    lines = [
-        f"successes   {summary.successes} of {summary.runs} runs",
-        f"rate        {summary.rate:.1%}, 95% Wilson interval {low:.1%} to {high:.1%}",
-        f"time        {seconds:.1f} s, {seconds / summary.runs:.2f} s a run",
-        f"failures    {summary.runs - summary.successes}",
-    ]
-    for (outcome, phase, macro), count in summary.endings.items():
-        doing = "" if macro == NO_MACRO else f", macro-action {macro}"
-        lines.append(f"{count:>7}     {outcome.replace('_', ' '):<20} in phase {phase}{doing}")
-    if summary.endings:
-        lines.append("causes")
-    for cause, count in Counter(filter(None, causes)).most_common():
-        lines.append(f"{count:>7}     {cause.replace('_', ' ')}")
-    lines.append(f"loops       {loops} of the failures repeat themselves for ever")
-    return "\n".join(lines)
-
-
 def write_videos(
     source: PlannerSource, world: dict[str, Any], episodes: Sequence[Episode], count: int, folder: Path
 ) -> list[str]:
@@ -270,64 +252,6 @@ def counted(moments: Iterable[Moment], bar: tqdm) -> Iterator[Moment]:
     for moment in moments:
         yield moment
         bar.update()
-
-
-def eval_info(
-    episodes: Sequence[Episode],
-    summary: SuccessSummary,
-    causes: Sequence[str],
-    seconds: float,
-    videos: Sequence[str],
-) -> dict[str, Any]:
-    """Results in the form of LeRobot's eval_info.json, with a section of our own.
-
-    There, `causes` are "" for a success; `blue_steps` and `first_changes`, of the macro-action, may be null.
-    """
-    sums = [episode.reward for episode in episodes]
-    largest = [float(episode.rewards.max()) for episode in episodes]
-    group = {
-        "avg_sum_reward": sum(sums) / len(sums),
-        "avg_max_reward": sum(largest) / len(largest),
-        "pc_success": 100 * summary.rate,
-        "n_episodes": len(episodes),
-        "video_paths": list(videos),
-    }
-    metrics = {
-        "sum_rewards": sums,
-        "max_rewards": largest,
-        "successes": [episode.success for episode in episodes],
-        "video_paths": list(videos),
-    }
-    return {
-        "per_task": [{"task_group": WORLD, "task_id": 0, "metrics": metrics}],
-        "per_group": {WORLD: group},
-        "overall": {**group, "eval_s": seconds, "eval_ep_s": seconds / len(episodes)},
-        "dpmacro": {
-            "seeds": [episode.seed for episode in episodes],
-            "outcomes": [episode.outcome for episode in episodes],
-            "steps": [episode.steps for episode in episodes],
-            "loops": [episode.loop for episode in episodes],
-            "causes": list(causes),
-            "blue_steps": [blue_step(episode) for episode in episodes],
-            "first_changes": [first_change(episode) for episode in episodes],
-            "last_macros": [int(episode.macros[-1]) for episode in episodes],
-            "interval_95": list(summary.interval),
-            "failures": [
-                {"outcome": outcome, "phase": phase, "macro": macro, "runs": runs}
-                for (outcome, phase, macro), runs in summary.endings.items()
-            ],
-        },
-    }
-
-
-def write_scalars(overall: dict[str, Any], folder: Path) -> None:
-    """The overall numbers as TensorBoard scalars, eval/pc_success and the like."""
-    from torch.utils.tensorboard import SummaryWriter
-
-    with SummaryWriter(str(folder)) as writer:
-        for name, value in overall.items():
-            if name != "video_paths":
-                writer.add_scalar(f"eval/{name}", value, 0)
 
 
 if __name__ == "__main__":
