@@ -10,7 +10,7 @@ from report import Row
 
 __all__ = ["act", "rows"]
 
-MACROS, ROUNDS, SWITCH_ROUNDS = 4, 300, 60
+MACROS, ROUNDS, SWITCH_ROUNDS = 4, 300, 400
 GOALS = {1: 1.0, 64: 5.0}  # milliseconds by batch
 CALLS = 50
 
@@ -62,7 +62,8 @@ def _policy(kind: str, images: Any) -> Any:
     from dpmacro.quantising import Quantiser
 
     generator = torch.Generator().manual_seed(0)
-    features = make_features(kind, *images.shape[1:3], 4096, generator)
+    height, width = images.shape[1:3]
+    features = make_features(kind, height, width, 4096, generator)
     quantiser = Quantiser.fit(features.values(images[1:], images[:-1]))
 
     def stumps(rounds: int, problems: int, classes: int) -> StumpClassifier:

@@ -69,7 +69,7 @@ def dpmacro(source: Source, seed: int, quick: bool) -> Found:
         images, lengths = torch.from_numpy(source.frames), torch.from_numpy(source.lengths)
         data = prepare(images, lengths, features, plan, generator)[2]
     macros, bound = source.macros, max(source.changes)
-    small = {"rounds": 10, "restarts": 4, "discovery_rounds": 10} if quick else {}
+    small: dict[str, Any] = {"rounds": 10, "restarts": 4, "discovery_rounds": 10} if quick else {}
     found = DPBoost(macros, bound, seed=seed, **small).fit(data, source.actions, source.lengths)
     return Found(found.labels.numpy(), f"Q={macros}, S={bound}")
 
@@ -121,7 +121,7 @@ def main(options: BenchOptions) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     print("\n".join(header(shlex.join(["python", *sys.orig_argv[1:]]))), flush=True)
     rows = _read(options.rows)
-    wanted: list[tuple[str, ...]] = []
+    wanted: list[tuple[Any, ...]] = []
     missing: dict[str, str] = {}
     try:
         with tqdm(unit="segmentation") as bar:
@@ -130,7 +130,7 @@ def main(options: BenchOptions) -> None:
                 bar.total = (bar.total or 0) + len(options.methods)
                 for method in options.methods:
                     bar.set_postfix_str(f"{source.name} {source.case}, seed {seed}, {method}")
-                    key = source.name, source.case, source.digest, seed, method
+                    key: tuple[Any, ...] = source.name, source.case, source.digest, seed, method
                     wanted.append(key)
                     if options.fresh or key not in rows:
                         try:

@@ -190,7 +190,8 @@ def _sorted_levels(source: Source, seed: int) -> SortedLevels:
         values = torch.from_numpy(source.frames).T.contiguous()
         return SortedLevels.build(Quantiser.fit(values).levels(values))
     generator, planner = torch.Generator().manual_seed(seed), PlannerOptions()
-    features = make_features(planner.features, *source.frames.shape[1:3], planner.rectangles, generator)
+    height, width = source.frames.shape[1:3]
+    features = make_features(planner.features, height, width, planner.rectangles, generator)
     plan = Plan(features.count, features.count, 0, planner.memory_limit)
     images, lengths = torch.from_numpy(source.frames), torch.from_numpy(source.lengths)
     return prepare(images, lengths, features, plan, generator)[2]
@@ -199,7 +200,7 @@ def _sorted_levels(source: Source, seed: int) -> SortedLevels:
 def _fitted(
     source: Source, data: SortedLevels, seed: int, weight: float, options: SelectorOptions
 ) -> tuple[Row, Search]:
-    small = {"restarts": 4, "discovery_rounds": 10} if options.quick else {}
+    small: dict[str, Any] = {"restarts": 4, "discovery_rounds": 10} if options.quick else {}
     rounds = min(options.rounds, 10) if options.quick else options.rounds
     planner = DPBoost(source.macros, max(source.changes), rounds, seed=seed, switch_weight=weight, **small)
     result = planner.fit(data, source.actions, source.lengths)

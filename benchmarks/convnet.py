@@ -1,14 +1,16 @@
-"""Convnets beside stumps as weak learners: accuracy and recall on left-out trajectories, and seconds.
+"""Convnets beside stumps as weak learners, boosted for the same time: accuracy on left-out trajectories.
 
     python benchmarks/convnet.py --dataset=datasets/two_flags_random
 
 Classifiers are fitted with the true phase as macro-labels, which the dataset must hold, so that the learners
-are compared and not the segmentations they lead to. The last quarter of the trajectories is left out. The
-share of changes that the switch functions detect is cross-validated over all trajectories.
+are compared and not the segmentations they lead to. The last quarter of the trajectories is left out. Switch
+functions have rounds in place of seconds, cues, and no mirror images; the share of changes that they detect
+is cross-validated over all trajectories.
 """
 
+import itertools
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
@@ -22,9 +24,10 @@ from dpmacro.learners import WeakLearner
 from dpmacro.learners.convnet import ConvNetLearner
 from dpmacro.learners.ensemble import InTurn
 from dpmacro.learners.stumps import StumpLearner
-from dpmacro.switching import fit_switches
+from dpmacro.switch_training import SwitchSettings, fit_switches
 
 LEFT_OUT = 4  # one of so many trajectories
+REUSE = 5  # rounds that a search for stumps serves
 
 
 @dataclass(frozen=True)
@@ -33,63 +36,69 @@ class ConvNetOptions:
 
     dataset: Path
     """Folder of a LeRobot dataset with true phases."""
-    stumps: int = 300
-    """Rounds of stumps alone, at shrinkage 0.1."""
-    convnets: int = 8
-    """Rounds of convnets alone, at shrinkage 0.5."""
-    first: int = 200
-    """Rounds of stumps before the convnets of a mixed ensemble, at shrinkage 0.1."""
-    then: int = 10
-    """Rounds of convnets in it."""
-    switch_stumps: int = 60
+    demonstrations: list[int] | None = None
+    """Episodes of the dataset to learn from, like '[0,1,2]'; by default all."""
+    seconds: list[float] = field(default_factory=lambda: [15.0, 60.0])
+    """How long each learner boosts; every one begins anew."""
+    first: int = 300
+    """Rounds of stumps before the convnets of a mixed ensemble."""
+    switch_stumps: int = 400
     """Rounds of stumps of a switch function, at shrinkage 0.2."""
     switch_convnets: int = 6
     """Rounds of convnets of a switch function, at shrinkage 0.5."""
     seed: int = 0
     """Seed of every draw."""
 
+    def __post_init__(self) -> None:
+        if not self.seconds or not all(0 < value < float("inf") for value in self.seconds):
+            raise ValueError(f"seconds is {self.seconds}: give one or more numbers above 0")
+        for name in ("first", "switch_stumps", "switch_convnets"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}: give 1 or more")
+
 
 def main(options: ConvNetOptions) -> None:
-    demonstrations = Demonstrations.load(options.dataset)
+    demonstrations = Demonstrations.load(options.dataset, options.demonstrations)
     if demonstrations.truth is None:
         raise ValueError(f"dataset {options.dataset} holds no truth: record one with datasets/record.py")
+    if len(demonstrations.lengths) < LEFT_OUT:
+        raise ValueError(
+            f"dataset {options.dataset} gives {len(demonstrations.lengths)} demonstrations: "
+            f"give {LEFT_OUT} or more, one in {LEFT_OUT} is left out"
+        )
     images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
     generator = torch.Generator().manual_seed(options.seed)
-    features = make_features("rectangles", *images.shape[1:3], 4096, generator)
-    _, _, data = prepare(images, lengths, features, Plan(4096, 0, 0.0), generator)
-    stumps = StumpLearner(data, drawn=512)
-    convnets = ConvNetLearner(images, frames_before(lengths))
+    height, width = images.shape[1:3]
+    features = make_features("rectangles", height, width, 4096, generator)
+    plan = Plan(features.count, features.count, 0, 0.0)
+    _, _, data = prepare(images, lengths, features, plan, generator)
+    stumps, convnets = StumpLearner(data, reuse=REUSE), ConvNetLearner(images, frames_before(lengths))
     print(f"{torch.get_num_threads()} threads, {len(images)} frames")
     print(
-        f"{'classifiers':<22} {'seconds':>7} {'trained':>8} {'left out':>8}   recall of each action, left out"
+        f"{'classifiers':<14} {'seconds':>7} {'rounds':>6} {'trained':>8} {'left out':>8}   recall, left out"
     )
-    for name, learner, rounds, shrinkage in (
-        (f"{options.stumps} stumps", stumps, options.stumps, 0.1),
-        (f"{options.convnets} convnets", convnets, options.convnets, 0.5),
-        (
-            f"{options.first} stumps, {options.then} convnets",
-            InTurn(stumps, options.first, convnets),
-            options.first + options.then,
-            0.1,
-        ),
-    ):
-        print(
-            f"{name:<22} {actions_row(learner, demonstrations, rounds, shrinkage, options.seed)}", flush=True
-        )
+    learners: dict[str, tuple[WeakLearner, float]] = {
+        "stumps": (stumps, 0.1),
+        "convnets": (convnets, 0.5),
+        "stumps first": (InTurn(stumps, options.first, convnets), 0.1),
+    }
+    for seconds, (name, (learner, shrinkage)) in itertools.product(options.seconds, learners.items()):
+        row = actions_row(learner, demonstrations, seconds, shrinkage, options.seed)
+        print(f"{name:<14} {row}", flush=True)
     print(f"{'switch functions':<22} {'seconds':>7}   share of changes detected")
+    quick = StumpLearner(data, drawn=32)
     for name, learner, rounds, shrinkage in (
-        (f"{options.switch_stumps} stumps", stumps, options.switch_stumps, 0.2),
+        (f"{options.switch_stumps} stumps", quick, options.switch_stumps, 0.2),
         (f"{options.switch_convnets} convnets", convnets, options.switch_convnets, 0.5),
     ):
-        print(
-            f"{name:<22} {switches_row(learner, demonstrations, rounds, shrinkage, options.seed)}", flush=True
-        )
+        row = switches_row(learner, demonstrations, rounds, shrinkage, options.seed)
+        print(f"{name:<22} {row}", flush=True)
 
 
 def actions_row(
-    learner: WeakLearner, demonstrations: Demonstrations, rounds: int, shrinkage: float, seed: int
+    learner: WeakLearner, demonstrations: Demonstrations, seconds: float, shrinkage: float, seed: int
 ) -> str:
-    """Seconds, accuracies and recalls of a classifier per phase."""
+    """Seconds, rounds, accuracies and recalls of a classifier per phase; the last round is finished."""
     lengths = torch.from_numpy(demonstrations.lengths)
     actions, phase = torch.from_numpy(demonstrations.actions), torch.from_numpy(demonstrations.truth)
     trained = (torch.arange(len(lengths)) < len(lengths) - len(lengths) // LEFT_OUT).repeat_interleave(
@@ -97,18 +106,18 @@ def actions_row(
     )
     base = torch.nn.functional.one_hot(phase).float() * trained[:, None]
     targets = class_targets(actions, len(demonstrations.action_names))
-    start = time.perf_counter()
+    start, rounds = time.perf_counter(), 0
     boosting = Boosting(learner, targets, base.shape[1], shrinkage, torch.Generator().manual_seed(seed))
-    for _ in range(rounds):
+    while (taken := time.perf_counter() - start) < seconds and not bool(boosting.ended.all()):
         boosting.round(base)
-    seconds = time.perf_counter() - start
+        rounds += 1
     right = boosting.scores[torch.arange(len(phase)), phase].argmax(1) == actions
     recalls = "  ".join(
         f"{name} {float(right[~trained & (actions == number)].float().mean()):.3f}"
         for number, name in enumerate(demonstrations.action_names)
     )
     accuracies = [float(right[part].float().mean()) for part in (trained, ~trained)]
-    return f"{seconds:>7.1f} {accuracies[0]:>8.4f} {accuracies[1]:>8.4f}   {recalls}"
+    return f"{taken:>7.1f} {rounds:>6} {accuracies[0]:>8.4f} {accuracies[1]:>8.4f}   {recalls}"
 
 
 def switches_row(
@@ -118,7 +127,9 @@ def switches_row(
     lengths, phase = torch.from_numpy(demonstrations.lengths), torch.from_numpy(demonstrations.truth)
     start = time.perf_counter()
     generator = torch.Generator().manual_seed(seed)
-    switches = fit_switches(learner, phase, lengths, generator, rounds=rounds, shrinkage=shrinkage)
+    settings = SwitchSettings(rounds=rounds, shrinkage=shrinkage)
+    actions = torch.from_numpy(demonstrations.actions)
+    switches = fit_switches(learner, phase, lengths, generator, settings, actions=actions)
     shares = "  ".join(
         f"{source} to {target}: {share:.2f}"
         for (source, target), share in zip(switches.pairs, switches.detected.tolist(), strict=True)

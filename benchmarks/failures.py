@@ -36,9 +36,10 @@ MEANINGS = {
     "dithers": "At the end the avatar turned on the spot, left and right in turn.",
     "out_of_time": "None of the others: it walked and turned, and left its circles, until its steps ran out.",
 }
-EXPLAINED = """\
-A row is one failed run of a cause, where possible in a world in which the teacher succeeds. A picture's frame
-has the colour of the macro-action that was running; the phase is 1 once blue was touched."""
+EXPLAINED = f"""\
+A row is one failed run of a cause, the {ROWS} most frequent at most, where possible in a world in which the
+teacher succeeds. A picture's frame has the colour of the macro-action that was running; the phase is 1 once
+blue was touched."""
 
 
 @dataclass(frozen=True)

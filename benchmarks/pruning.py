@@ -9,6 +9,7 @@ how many frames hold a share of the weight, and how many columns they would prun
 from the start, which is the most that pruning can do.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,14 +49,17 @@ def main(options: PruningOptions) -> None:
     )
     for kind in ("pixels", "rectangles"):
         generator = torch.Generator().manual_seed(0)
-        features = make_features(kind, *images.shape[1:3], options.columns, generator)
+        height, width = images.shape[1:3]
+        features = make_features(kind, height, width, options.columns, generator)
         columns = min(options.columns, features.count)
         _, _, data = prepare(images, lengths, features, Plan(columns, features.count, 0, 0.0), generator)
         for number, line in rows(data, actions, options.shrinkage, generator):
             print(f"{kind:<11} {number:>5} {line}", flush=True)
 
 
-def rows(data: SortedLevels, actions: Tensor, shrinkage: float, generator: torch.Generator):
+def rows(
+    data: SortedLevels, actions: Tensor, shrinkage: float, generator: torch.Generator
+) -> Iterator[tuple[int, str]]:
     """A line of the table for each of `ROUNDS`."""
     targets = class_targets(actions, int(actions.max()) + 1)
     boosting = Boosting(StumpLearner(data, drawn=256), targets, 1, shrinkage, generator)

@@ -1,0 +1,57 @@
+"""The benchmark of weak learners, end to end on a small dataset."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpmacro.recording import DemonstrationWriter
+
+ROOT = Path(__file__).parents[2]
+FAST = ["--first=2", "--switch_stumps=3", "--switch_convnets=1"]
+
+
+@pytest.fixture(scope="module")
+def five(tmp_path_factory) -> Path:
+    """Five demonstrations of 12 frames, of which the second half is phase 1."""
+    root, generator = tmp_path_factory.mktemp("five") / "data", np.random.default_rng(0)
+    world = {"id": "TwoFlags-v0"}
+    with DemonstrationWriter.create(root, ("forward", "turn_left", "turn_right"), 30, world, False) as writer:
+        for _ in range(5):
+            images = generator.integers(0, 256, (12, 8, 8, 3), np.uint8)
+            actions, phases = np.arange(12) % 3, (np.arange(12) > 5).astype(np.int64)
+            writer.add_episode(images, actions, {"phase": phases}, np.zeros(12, np.float32), True)
+    return root
+
+
+def call(*options):
+    command = [sys.executable, "benchmarks/convnet.py", *options]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def test_every_learner_boosts_for_as_long_as_asked(five):
+    done = call(f"--dataset={five}", "--seconds=[0.05,0.2]", *FAST)
+    assert done.returncode == 0, done.stderr
+    _, _, *rows = done.stdout.splitlines()
+    assert [row.split("  ")[0] for row in rows[:6]] == ["stumps", "convnets", "stumps first"] * 2
+    for row, least in zip(rows[:6], [0.05] * 3 + [0.2] * 3, strict=True):
+        seconds, rounds, *shares = row[14:].split()[:4]
+        assert float(seconds) >= least - 0.05 and int(rounds) >= 1
+        assert all(0 <= float(share) <= 1 for share in shares)
+    assert "3 stumps" in rows[-2] and "1 convnets" in rows[-1] and "0 to 1:" in rows[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--demonstrations=[0,1,2]"], "gives 3 demonstrations: give 4 or more"),
+        (["--seconds=[]"], "seconds is []"),
+        (["--seconds=[0]"], "seconds is [0.0]"),
+        (["--first=0"], "first is 0"),
+    ],
+)
+def test_a_mistake_gets_one_line(five, options, message):
+    done = call(f"--dataset={five}", *options)
+    assert done.returncode == 2 and message in done.stderr and done.stderr.count("\n") == 1
