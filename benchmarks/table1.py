@@ -13,6 +13,7 @@ import shlex
 import signal
 import sys
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -51,7 +52,7 @@ class TableOptions:
     curve: list[int] = field(default_factory=lambda: [5, 10, 20, 50, 100])
     """Numbers of demonstrations on the learning curve."""
     episodes: int = 200
-    """Runs of every cell; curve and paper have at most 100."""
+    """Runs of every cell; curve and paper have at most 100. A row that has more already keeps them."""
     quick: bool = False
     """Random flags, one training seed, 30 episodes, main table only; rows go to <output_dir>_quick.json."""
     workers: int = 2
@@ -115,7 +116,8 @@ def main(options: TableOptions) -> None:
     print("\n".join(lines), flush=True)
     origin = {"date": datetime.now().isoformat(timespec="seconds")}
     origin |= dict(line.split(maxsplit=1) for line in lines)
-    rows, plan = read_rows(options.rows), options.plan
+    rows = read_rows(options.rows)
+    plan = [with_all_runs(cell, rows) for cell in options.plan]
     needed = demonstrations_needed(plan)
     try:
         with tqdm(total=work(plan, needed), unit="episode", dynamic_ncols=True) as bar:
@@ -132,6 +134,12 @@ def main(options: TableOptions) -> None:
         found = {**origin, "rows": list(rows.values())}
         write_report(found, options.demonstrations, options.train_seeds[0], options.report)
         print(f"report   {options.report}")
+
+
+def with_all_runs(cell: Cell, rows: Mapping[Key, Row]) -> Cell:
+    """The cell, in as many worlds as its row has runs, where those are more."""
+    held = rows[cell.key]["n"] if cell.key in rows else 0
+    return replace(cell, episodes=max(cell.episodes, held))
 
 
 def row(cell: Cell, outcomes: dict[int, str], stamps: list[dict[str, Any]]) -> Row:

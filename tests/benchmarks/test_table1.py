@@ -12,7 +12,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))  # as the script itself finds its n
 
 import table_cells  # noqa: E402
 import table_runs  # noqa: E402
-from table1 import TableOptions, main, read_rows  # noqa: E402
+from table1 import TableOptions, main, read_rows, with_all_runs  # noqa: E402
 from table_jobs import read_stamp  # noqa: E402
 
 from dpmacro import cli  # noqa: E402
@@ -73,6 +73,15 @@ def test_a_second_run_finds_everything_there(made, monkeypatch, capsys):
     printed = capsys.readouterr().out
     assert printed.startswith("commit ") and f"rows     {made / 'table.json'}" in printed
     assert printed.count("| random | ") == 2 and printed.count("| fixed ") == 1
+
+
+def test_a_row_keeps_its_runs_where_fewer_are_asked_for(made):
+    before = read_rows(made / "table.json")
+    more = {key: row | {"n": 3} for key, row in before.items()}
+    [teacher, *_] = options(made).plan
+    assert with_all_runs(teacher, {}).episodes == with_all_runs(teacher, before).episodes == 1
+    assert list(with_all_runs(teacher, more).worlds) == [10_000, 10_001, 10_002]
+    assert with_all_runs(replace(teacher, episodes=5), more).episodes == 5
 
 
 def test_a_cell_that_fails_is_one_line_and_the_others_stay(made, monkeypatch, capsys):
