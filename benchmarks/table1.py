@@ -22,7 +22,7 @@ from typing import Any
 from report import header
 from table_cells import FLAGS, PARTS, PLANNERS, TRAIN_SEEDS, Cell, Key, cells, demonstrations_needed
 from table_report import main_table, write_report
-from table_rows import Row
+from table_rows import Row, as_json
 from table_runs import Runs, work
 from tqdm import tqdm
 
@@ -60,7 +60,7 @@ class TableOptions:
     output_dir: Path = Path("outputs/table1")
     """Folder of demonstrations, policies and runs."""
     report: Path | None = None
-    """Markdown file to put the results into, between its two table marks; the picture goes beside it."""
+    """Markdown file to put the results into, between its table marks; picture and rows go beside it."""
 
     def __post_init__(self) -> None:
         for name, known in (("parts", PARTS), ("flags", FLAGS), ("planners", PLANNERS)):
@@ -125,7 +125,7 @@ def main(options: TableOptions) -> None:
             for cell in plan:
                 rows[cell.key] = row(cell, *runs.outcomes(cell))
                 with replacing(options.rows) as path:
-                    path.write_text(json.dumps({**origin, "rows": list(rows.values())}, indent=1) + "\n")
+                    path.write_text(as_json({**origin, "rows": list(rows.values())}))
     finally:
         if rows:
             print("\n".join(main_table(list(rows.values()), options.demonstrations)))

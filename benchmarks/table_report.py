@@ -6,7 +6,7 @@ from pathlib import Path
 
 from report import inserted
 from table_cells import DEFAULT_SIZE, FLAGS, PAPER_SIZE, PLANNERS, SWEEP, TEACHER
-from table_rows import Row, count, curve_points, groups, paired, pooled
+from table_rows import Row, as_json, count, curve_points, groups, paired, pooled
 
 from dpmacro import figures
 from dpmacro.files import replacing
@@ -17,6 +17,7 @@ __all__ = ["MARKS", "main_table", "report", "write_report"]
 
 MARKS = ("<!-- table -->", "<!-- /table -->")
 PICTURE = "learning_curve.png"
+ROWS = "table1.json"
 PAIRS = (
     ("dpboost-2", "baseline"),
     ("dpboost-4", "baseline"),
@@ -38,7 +39,7 @@ in the pair of every training seed. p: exact two-sided McNemar test, which takes
 
 
 def write_report(found: Row, demonstrations: int, seed: int, path: Path) -> None:
-    """Put `report` between the marks of a markdown file, made where there is none, the picture beside it.
+    """Put `report` between the marks of a markdown file (new if need be), picture and rows beside it.
 
     Raises ValueError where the file has one mark without the other.
     """
@@ -50,6 +51,8 @@ def write_report(found: Row, demonstrations: int, seed: int, path: Path) -> None
         lines = {_title(name): counts for name, counts in points.items()}
         title = f"Random flags, training seed {seed}, {SWEEP} runs a point"
         figures.save(figures.learning_curve(lines, levels, title), path.parent / PICTURE)
+    with replacing(path.with_name(ROWS)) as temporary:
+        temporary.write_text(as_json(found))
     with replacing(path) as temporary:
         temporary.write_text(text)
 
@@ -109,7 +112,8 @@ def _origin(found: Row, demonstrations: int) -> Iterator[str]:
     learned = f"training seeds {', '.join(map(str, training)) or 'none'}"
     yield f"{demonstrations} demonstrations unless said; {learned}; test worlds {seeds[0]} to {seeds[-1]},"
     yield f"the same for all. Trained and run at commit {', '.join(commits)}; written {found['date']}."
-    yield f"{found['machine']}; {found['versions']}.\n"
+    yield f"{found['machine']}; {found['versions']}."
+    yield f"Every run's outcome is in [{ROWS}]({ROWS}).\n"
     yield f"    {found['command']}"
 
 

@@ -1,5 +1,6 @@
 """What the rows of Table I say: counts, planners side by side in the same worlds, points of the curve."""
 
+import json
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -7,9 +8,16 @@ from table_cells import DEFAULT_SIZE, PLANNERS, SWEEP, TEACHER
 
 from dpmacro.outcomes import Paired, mcnemar
 
-__all__ = ["Row", "count", "curve_points", "groups", "paired", "pooled"]
+__all__ = ["Row", "as_json", "count", "curve_points", "groups", "paired", "pooled"]
 
 Row = dict[str, Any]
+
+
+def as_json(found: Row) -> str:
+    """The text of a file of rows, one a line, after where they come from."""
+    origin = json.dumps({name: value for name, value in found.items() if name != "rows"}, indent=1)
+    lines = ",\n".join(json.dumps(row) for row in found["rows"])
+    return origin.removesuffix("\n}") + f',\n "rows": [\n{lines}\n ]\n}}\n'
 
 
 def count(row: Row, runs: int | None = None) -> tuple[int, int]:

@@ -1,5 +1,6 @@
 """Rows of Table I as markdown: what is pooled, what is paired, and where it goes in a text."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -144,9 +145,13 @@ def test_half_the_marks_are_an_error(text):
         inserted(text.format(*MARKS), "new", MARKS)
 
 
-def test_the_picture_goes_beside_the_report(tmp_path):
+def test_picture_and_rows_go_beside_the_report(tmp_path):
     path = tmp_path / "docs/results.md"
     write_report(FOUND, 20, 0, path)
+    told = (tmp_path / "docs/table1.json").read_text()
+    assert json.loads(told) == FOUND
+    assert sum(line.startswith('{"flags"') for line in told.splitlines()) == len(ROWS)
+    assert "](table1.json)" in path.read_text()
     assert (tmp_path / "docs/learning_curve.png").stat().st_size > 1000
     assert "](learning_curve.png)" in path.read_text()
     write_report(FOUND | {"rows": ROWS[:3]}, 20, 0, path)
