@@ -20,7 +20,19 @@ from pathlib import Path
 from typing import Any
 
 from report import header
-from table_cells import FLAGS, PARTS, PLANNERS, TRAIN_SEEDS, Cell, Key, cells, demonstrations_needed
+from table_cells import (
+    DAGGER_WORLDS,
+    FLAGS,
+    PARTS,
+    PLANNERS,
+    SEED_WORLDS,
+    TEST_WORLDS,
+    TRAIN_SEEDS,
+    Cell,
+    Key,
+    cells,
+    demonstrations_needed,
+)
 from table_report import main_table, write_report
 from table_rows import Row, as_json
 from table_runs import Runs, work
@@ -69,15 +81,22 @@ class TableOptions:
                     raise ValueError(f"{name} has {value!r}: choose from {', '.join(known)}")
         for seed in self.train_seeds:
             if seed not in TRAIN_SEEDS:
-                raise ValueError(f"train_seeds has {seed}: give 0 to {TRAIN_SEEDS[-1]}, others would test")
+                raise ValueError(
+                    f"train_seeds has {seed}: give 0 to {TRAIN_SEEDS[-1]}, beyond lie validation worlds"
+                )
         for name in ("parts", "flags", "planners", "train_seeds", "curve"):
             if not getattr(self, name):
                 raise ValueError(f"{name} is empty: give one at least")
-        for name in ("demonstrations", "episodes", "workers"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}: give 1 or more")
-        if min(self.curve) < 1:
-            raise ValueError(f"curve has {min(self.curve)}: give 1 or more")
+        bounds = {"demonstrations": SEED_WORLDS, "episodes": DAGGER_WORLDS - TEST_WORLDS, "workers": None}
+        for name, most in bounds.items():
+            _check(f"{name} is", getattr(self, name), most)
+        for number in self.curve:
+            _check("curve has", number, SEED_WORLDS)
+        if not self.plan:
+            asked = f"{', '.join(self.planners)} in {'quick' if self.quick else ', '.join(self.parts)}"
+            raise ValueError(
+                f"there is no cell of {asked} with {', '.join(self.flags)} flags: ask for others"
+            )
 
     @property
     def rows(self) -> Path:
@@ -87,26 +106,27 @@ class TableOptions:
     @property
     def plan(self) -> list[Cell]:
         """The cells."""
-        asked = self
         if self.quick:
-            asked = replace(
-                self,
-                quick=False,
-                parts=["main"],
-                flags=["random"],
-                planners=[name for name in self.planners if name in QUICK_PLANNERS],
-                train_seeds=self.train_seeds[:1],
-                episodes=min(self.episodes, QUICK_EPISODES),
+            planners = [name for name in self.planners if name in QUICK_PLANNERS]
+            episodes = min(self.episodes, QUICK_EPISODES)
+            return cells(
+                ["main"], ["random"], planners, self.train_seeds[:1], self.demonstrations, [], episodes
             )
         return cells(
-            asked.parts,
-            asked.flags,
-            asked.planners,
-            asked.train_seeds,
-            asked.demonstrations,
-            asked.curve,
-            asked.episodes,
+            self.parts,
+            self.flags,
+            self.planners,
+            self.train_seeds,
+            self.demonstrations,
+            self.curve,
+            self.episodes,
         )
+
+
+def _check(name: str, value: int, most: int | None) -> None:
+    """Raise ValueError unless it is from 1 to `most`, beyond which lie worlds with another use."""
+    if value < 1 or (most is not None and value > most):
+        raise ValueError(f"{name} {value}: give 1 or more" + f", {most} at most" * (most is not None))
 
 
 def main(options: TableOptions) -> None:
@@ -123,7 +143,8 @@ def main(options: TableOptions) -> None:
         with tqdm(total=work(plan, needed), unit="episode", dynamic_ncols=True) as bar:
             runs = Runs(options.output_dir, options.workers, origin["commit"], needed, bar)
             for cell in plan:
-                rows[cell.key] = row(cell, *runs.outcomes(cell))
+                made = row(cell, *runs.outcomes(cell))
+                rows = read_rows(options.rows) | {cell.key: made}
                 with replacing(options.rows) as path:
                     path.write_text(as_json({**origin, "rows": list(rows.values())}))
     finally:
@@ -132,7 +153,7 @@ def main(options: TableOptions) -> None:
             print(f"rows     {options.rows}")
     if options.report is not None:
         found = {**origin, "rows": list(rows.values())}
-        write_report(found, options.demonstrations, options.train_seeds[0], options.report)
+        write_report(found, options.demonstrations, options.report, options.rows.name)
         print(f"report   {options.report}")
 
 
@@ -168,9 +189,12 @@ def read_rows(path: Path) -> dict[Key, Row]:
     if not path.exists():
         return {}
     try:
+        found = json.loads(path.read_text())["rows"]
+        if any(row["planner"] not in PLANNERS or row["n"] != len(row["per_episode"]) for row in found):
+            raise ValueError("a row of something else")
         return {
             (r["flags"], r["planner"], r["demonstrations"], r["train_seed"], tuple(r["render_size"])): r
-            for r in json.loads(path.read_text())["rows"]
+            for r in found
         }
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} holds no rows of this table: give another --output_dir") from error

@@ -11,13 +11,16 @@ from itertools import product
 from dpmacro.worlds.two_flags import PIXELS, TwoFlagsConfig
 
 __all__ = [
+    "DAGGER_WORLDS",
     "DEFAULT_SIZE",
     "FLAGS",
     "PAPER_SIZE",
     "PARTS",
     "PLANNERS",
+    "SEED_WORLDS",
     "SWEEP",
     "TEACHER",
+    "TEST_WORLDS",
     "TRAIN_SEEDS",
     "Cell",
     "Key",
@@ -144,7 +147,7 @@ def cells(
     curve: Sequence[int],
     episodes: int,
 ) -> list[Cell]:
-    """The cells of the parts asked for, each once; those of a training seed before those of the next.
+    """The cells of the parts asked for, each once: the teacher's, the main table's by seed, the others.
 
     Args:
         parts: of `PARTS`. "curve" and "paper", with random flags and the first training seed, have at most

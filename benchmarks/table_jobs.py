@@ -6,9 +6,11 @@
 """
 
 import json
+import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -61,7 +63,10 @@ def run(job: Job, commit: str, moved: Callable[[int], None]) -> dict[str, Any]:
     started = time.perf_counter()
     with log.open("wb") as output:
         child = subprocess.Popen(
-            [sys.executable, str(ROOT / job.script), *command[1:]], stdout=output, stderr=subprocess.STDOUT
+            [sys.executable, str(ROOT / job.script), *command[1:]],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,  # so that `_end` alone interrupts it, once
         )
         try:
             while _running(child):
@@ -124,12 +129,15 @@ def _running(child: subprocess.Popen) -> bool:
 
 
 def _end(child: subprocess.Popen) -> None:
-    """Wait for a script that the terminal has interrupted; end one that only we were asked to end."""
-    try:
-        child.wait(PATIENCE)
-    except subprocess.TimeoutExpired:
-        child.terminate()
-        child.wait()
+    """Interrupt a script that still runs, and its processes; kill them if they do not clean up in time."""
+    for number in (signal.SIGINT, signal.SIGKILL):
+        if child.poll() is None:
+            os.killpg(child.pid, number)
+        try:
+            child.wait(PATIENCE)
+            return
+        except subprocess.TimeoutExpired:
+            continue
 
 
 def _tail(log: Path) -> str:

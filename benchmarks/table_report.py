@@ -6,7 +6,7 @@ from pathlib import Path
 
 from report import inserted
 from table_cells import DEFAULT_SIZE, FLAGS, PAPER_SIZE, PLANNERS, SWEEP, TEACHER
-from table_rows import Row, as_json, count, curve_points, groups, paired, pooled
+from table_rows import Row, as_json, count, curve_points, groups, paired, pooled, sweep_seed
 
 from dpmacro import figures
 from dpmacro.files import replacing
@@ -17,7 +17,6 @@ __all__ = ["MARKS", "main_table", "report", "write_report"]
 
 MARKS = ("<!-- table -->", "<!-- /table -->")
 PICTURE = "learning_curve.png"
-ROWS = "table1.json"
 PAIRS = (
     ("dpboost-2", "baseline"),
     ("dpboost-4", "baseline"),
@@ -32,18 +31,21 @@ PAIRS = (
 POOLED = """\
 Successes are pooled over training seeds. The 95% Wilson interval takes all runs for independent, which those
 of one policy are not: they share its luck in training. So the rate of every training seed stands beside it.
-The paper's rates are those of its own world."""
+Beside the teacher: in the worlds that both have run in. The paper's rates are those of its own world."""
 COMPARED = """\
 A pair is two runs of the same training seed in the same world; the teacher, which has one run a world, stands
 in the pair of every training seed. p: exact two-sided McNemar test, which takes pairs for independent."""
 
 
-def write_report(found: Row, demonstrations: int, seed: int, path: Path) -> None:
+def write_report(found: Row, demonstrations: int, path: Path, rows: str) -> None:
     """Put `report` between the marks of a markdown file (new if need be), picture and rows beside it.
+
+    `rows` is the name of the file of rows.
 
     Raises ValueError where the file has one mark without the other.
     """
-    text = inserted(path.read_text() if path.exists() else "", report(found, demonstrations, seed), MARKS)
+    text = inserted(path.read_text() if path.exists() else "", report(found, demonstrations, rows), MARKS)
+    seed = sweep_seed(found["rows"])
     points = curve_points(found["rows"], seed)
     if points:
         teacher = groups(found["rows"], "random", demonstrations).get(TEACHER, [])
@@ -51,23 +53,24 @@ def write_report(found: Row, demonstrations: int, seed: int, path: Path) -> None
         lines = {_title(name): counts for name, counts in points.items()}
         title = f"Random flags, training seed {seed}, {SWEEP} runs a point"
         figures.save(figures.learning_curve(lines, levels, title), path.parent / PICTURE)
-    with replacing(path.with_name(ROWS)) as temporary:
+    with replacing(path.with_name(rows)) as temporary:
         temporary.write_text(as_json(found))
     with replacing(path) as temporary:
         temporary.write_text(text)
 
 
-def report(found: Row, demonstrations: int, seed: int) -> str:
+def report(found: Row, demonstrations: int, rows_name: str) -> str:
     """All tables.
 
     Args:
         found: {"commit", "date", "command", "machine", "versions", "rows"}.
         demonstrations: that the planners of the main table learn from.
-        seed: training seed of the learning curve and of the paper's rendering.
+        rows_name: of the file of rows, beside the report.
     """
     rows = found["rows"]
+    seed = sweep_seed(rows)
     blocks = [
-        list(_origin(found, demonstrations)),
+        list(_origin(found, demonstrations, rows_name)),
         main_table(rows, demonstrations),
         [POOLED],
         _comparisons(rows, demonstrations),
@@ -84,10 +87,10 @@ def main_table(rows: Sequence[Row], demonstrations: int) -> list[str]:
     lines = []
     for flags in FLAGS:
         of_planner = groups(rows, flags, demonstrations)
-        level = _rate(*pooled(of_planner[TEACHER])) if TEACHER in of_planner else None
         for name, group in of_planner.items():
             successes, runs = pooled(group)
             rate, paper = _rate(successes, runs), PLANNERS[name].paper.get(flags)
+            beside = paired(group, of_planner.get(TEACHER, [])) if name != TEACHER else None
             low, high = wilson_interval(successes, runs)
             lines.append(
                 [
@@ -97,7 +100,7 @@ def main_table(rows: Sequence[Row], demonstrations: int) -> list[str]:
                     f"{rate:.1%}",
                     f"{low:.1%} to {high:.1%}",
                     ", ".join(f"{_rate(*count(row)):.1%}" for row in group) if name != TEACHER else "",
-                    f"{100 * (rate - level):+.1f} points" if level is not None and name != TEACHER else "",
+                    f"{100 * beside.gain:+.1f} points" if beside is not None else "",
                     f"{paper}%" if paper is not None else "",
                 ]
             )
@@ -105,15 +108,16 @@ def main_table(rows: Sequence[Row], demonstrations: int) -> list[str]:
     return _table(headings, lines)
 
 
-def _origin(found: Row, demonstrations: int) -> Iterator[str]:
+def _origin(found: Row, demonstrations: int, rows_name: str) -> Iterator[str]:
     seeds = sorted({seed for row in found["rows"] for seed in row["seeds"]})
     commits = sorted({commit for row in found["rows"] for commit in row["commits"]})
     training = sorted({row["train_seed"] for row in found["rows"]} - {None})
     learned = f"training seeds {', '.join(map(str, training)) or 'none'}"
     yield f"{demonstrations} demonstrations unless said; {learned}; test worlds {seeds[0]} to {seeds[-1]},"
-    yield f"the same for all. Trained and run at commit {', '.join(commits)}; written {found['date']}."
+    yield "a cell with fewer runs has the first of them."
+    yield f"Trained and run at commit {', '.join(commits)}; written {found['date']}."
     yield f"{found['machine']}; {found['versions']}."
-    yield f"Every run's outcome is in [{ROWS}]({ROWS}).\n"
+    yield f"Every run's outcome is in [{rows_name}]({rows_name}).\n"
     yield f"    {found['command']}"
 
 

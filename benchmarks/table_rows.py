@@ -8,7 +8,7 @@ from table_cells import DEFAULT_SIZE, PLANNERS, SWEEP, TEACHER
 
 from dpmacro.outcomes import Paired, mcnemar
 
-__all__ = ["Row", "as_json", "count", "curve_points", "groups", "paired", "pooled"]
+__all__ = ["Row", "as_json", "count", "curve_points", "groups", "paired", "pooled", "sweep_seed"]
 
 Row = dict[str, Any]
 
@@ -61,6 +61,11 @@ def paired(first: Sequence[Row], second: Sequence[Row], runs: int | None = None)
                 one += [mine[seed] for seed in worlds]
                 other += [its[seed] for seed in worlds]
     return mcnemar(one, other) if one else None
+
+
+def sweep_seed(rows: Iterable[Row]) -> int:
+    """The first training seed there is: the learning curve and the paper's rendering have no other."""
+    return min((row["train_seed"] for row in rows if row["train_seed"] is not None), default=0)
 
 
 def curve_points(rows: Iterable[Row], seed: int) -> dict[str, dict[int, tuple[int, int]]]:

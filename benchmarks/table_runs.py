@@ -60,7 +60,7 @@ class Runs:
             trained = [self._train(cell)]
         self._evaluate(cell)
         found, stamps = self._found(cell)
-        return {seed: found[seed] for seed in cell.worlds}, trained + stamps
+        return {seed: found[seed] for seed in cell.worlds}, [*trained, *stamps]
 
     def _record(self, cell: Cell) -> None:
         if cell.data in self.recorded:
@@ -109,15 +109,18 @@ class Runs:
             self._run(Job(f"running {cell.name}", "eval.py", folder, options, others, len(seeds)))
 
     def _found(self, cell: Cell) -> tuple[dict[int, str], list[dict[str, Any]]]:
-        """World -> outcome, of what was run already; and its stamps."""
+        """World -> outcome, for those of the cell's worlds that were run already; and these runs' stamps."""
         outcomes: dict[int, str] = {}
         stamps = []
-        for info in sorted(info for runs in self._twins(cell) for info in runs.glob("*/eval_info.json")):
+        for info in (info for runs in self._twins(cell) for info in sorted(runs.glob("*/eval_info.json"))):
             stamp = read_stamp(info.parent)
             if stamp is not None:
                 section = json.loads(info.read_text())["dpmacro"]
-                outcomes |= zip(section["seeds"], section["outcomes"], strict=True)
-                stamps.append(stamp)
+                ended = dict(zip(section["seeds"], section["outcomes"], strict=True))
+                wanted = {seed: ended[seed] for seed in cell.worlds if seed in ended and seed not in outcomes}
+                if wanted:
+                    outcomes |= wanted
+                    stamps.append(stamp)
         return outcomes, stamps
 
     def _twins(self, cell: Cell) -> list[Path]:
@@ -156,7 +159,8 @@ def chunks(seeds: Sequence[int]) -> Iterator[list[int]]:
         yield chunk
 
 
-DECIDING = ("macros", "first_macro", "switches", "thresholds", "cues", "image_shape", "features", "world")
+# What only cuts demonstrations.
+NO_SAY_IN_RUNS = ("max_transitions", "switch_weight", "change_log_odds")
 
 
 def fingerprint(training: Path) -> str | None:
@@ -165,8 +169,10 @@ def fingerprint(training: Path) -> str | None:
     if read_stamp(training) is None:
         return None
     config = json.loads((policy / "config.json").read_text())
-    told = json.dumps([config.get(name) for name in DECIDING]).encode()
-    return hashlib.sha256(told + (policy / "model.safetensors").read_bytes()).hexdigest()
+    told = {name: value for name, value in config.items() if name not in NO_SAY_IN_RUNS}
+    return hashlib.sha256(
+        json.dumps(told, sort_keys=True).encode() + (policy / "model.safetensors").read_bytes()
+    ).hexdigest()
 
 
 def work(plan: Sequence[Cell], needed: dict[str, int]) -> int:

@@ -48,6 +48,11 @@ class Paired:
         """Their number."""
         return self.both + self.only_first + self.only_second + self.neither
 
+    @property
+    def gain(self) -> float:
+        """The first's success rate less the second's, -1 to 1."""
+        return (self.only_first - self.only_second) / self.pairs
+
 
 def wilson_interval(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
     """Interval of a success rate, in 0..1, that keeps its meaning at 0 and at 100% (Wilson 1927).

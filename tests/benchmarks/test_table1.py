@@ -14,6 +14,7 @@ import table_cells  # noqa: E402
 import table_runs  # noqa: E402
 from table1 import TableOptions, main, read_rows, with_all_runs  # noqa: E402
 from table_jobs import read_stamp  # noqa: E402
+from table_runs import Runs  # noqa: E402
 
 from dpmacro import cli  # noqa: E402
 
@@ -78,10 +79,41 @@ def test_a_second_run_finds_everything_there(made, monkeypatch, capsys):
 def test_a_row_keeps_its_runs_where_fewer_are_asked_for(made):
     before = read_rows(made / "table.json")
     more = {key: row | {"n": 3} for key, row in before.items()}
-    [teacher, *_] = options(made).plan
+    teacher, *_ = options(made).plan
     assert with_all_runs(teacher, {}).episodes == with_all_runs(teacher, before).episodes == 1
     assert list(with_all_runs(teacher, more).worlds) == [10_000, 10_001, 10_002]
     assert with_all_runs(replace(teacher, episodes=5), more).episodes == 5
+
+
+def test_an_interrupt_keeps_the_cells_that_are_done_and_prints_them(made, monkeypatch, capsys, tmp_path):
+    (tmp_path / "table").symlink_to(made / "table")
+    outcomes = Runs.outcomes
+
+    def interrupted(self, cell):
+        if cell.planner == "baseline":
+            raise KeyboardInterrupt
+        return outcomes(self, cell)
+
+    monkeypatch.setattr(Runs, "outcomes", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        main(options(tmp_path))
+    [row] = read_rows(tmp_path / "table.json").values()
+    assert row["planner"] == "teacher"
+    assert "| random | teacher" in capsys.readouterr().out
+
+
+def test_rows_that_another_call_writes_meanwhile_stay(made, monkeypatch, tmp_path):
+    (tmp_path / "table").symlink_to(made / "table")
+    other, *_ = json.loads((made / "table.json").read_text())["rows"]
+    outcomes = Runs.outcomes
+
+    def meanwhile(self, cell):
+        (tmp_path / "table.json").write_text(json.dumps({"rows": [other]}))
+        return outcomes(self, cell)
+
+    monkeypatch.setattr(Runs, "outcomes", meanwhile)
+    main(options(tmp_path, planners=["teacher"]))
+    assert [row["planner"] for row in read_rows(tmp_path / "table.json").values()] == ["dpboost-4", "teacher"]
 
 
 def test_a_cell_that_fails_is_one_line_and_the_others_stay(made, monkeypatch, capsys):
@@ -123,9 +155,13 @@ def test_quick_is_coarse_and_has_rows_of_its_own(tmp_path):
         ("--flags=[none]", "flags has 'none': choose from random, fixed"),
         ("--planners=[dpboost]", "planners has 'dpboost': choose from teacher, baseline"),
         ("--planners=[]", "planners is empty: give one at least"),
-        ("--train_seeds=[5]", "train_seeds has 5: give 0 to 4"),
+        ("--train_seeds=[5]", "train_seeds has 5: give 0 to 4, beyond lie validation worlds"),
         ("--curve=[0]", "curve has 0: give 1 or more"),
+        ("--curve=[5, 1001]", "curve has 1001: give 1 or more, 1000 at most"),
         ("--episodes=0", "episodes is 0: give 1 or more"),
+        ("--episodes=10001", "episodes is 10001: give 1 or more, 10000 at most"),
+        ("--demonstrations=1001", "demonstrations is 1001: give 1 or more, 1000 at most"),
+        ("--workers=0", "workers is 0: give 1 or more"),
         ("--episode=3", "unknown option --episode: did you mean --episodes?"),
     ],
 )
@@ -135,7 +171,29 @@ def test_a_wrong_option_is_one_line(option, message):
     assert str(refused.value).startswith(message)
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"rows": [{"benchmark": "round"}]}'])
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        (
+            ["--flags=[fixed]", "--planners=[dpboost-2-dagger]"],
+            "there is no cell of dpboost-2-dagger in main, curve, paper with fixed flags: ask for others",
+        ),
+        (["--parts=[paper]", "--planners=[teacher]"], "there is no cell of teacher in paper"),
+        (["--quick=true", "--planners=[dpboost-2-dagger]"], "there is no cell of dpboost-2-dagger in quick"),
+    ],
+)
+def test_a_table_without_cells_is_one_line(asked, message):
+    with pytest.raises(ValueError) as refused:
+        cli.parse(TableOptions, asked)
+    assert str(refused.value).startswith(message)
+
+
+OTHER = '{"rows": [{"flags": "fixed", "planner": "%s", "n": %d, "per_episode": [true]}]}'
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[]", '{"rows": [{"benchmark": "round"}]}', OTHER % ("gone", 1), OTHER % ("baseline", 2)]
+)
 def test_a_file_of_other_rows_is_one_line(tmp_path, text):
     (tmp_path / "table.json").write_text(text)
     with pytest.raises(

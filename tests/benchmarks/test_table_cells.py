@@ -20,7 +20,7 @@ from table_cells import (  # noqa: E402
 )
 
 from dpmacro import cli  # noqa: E402
-from dpmacro.options import TrainOptions  # noqa: E402
+from dpmacro.options import DaggerOptions, TrainOptions  # noqa: E402
 
 CURVE = [5, 20, 100]
 
@@ -77,6 +77,8 @@ def option(options, name):
 
 
 def test_no_world_is_learned_from_and_tested():
+    dagger = DaggerOptions()
+    assert 5000 <= dagger.validation_seed <= 6000 - dagger.validation_episodes
     roles = {"test": set(plan()[0].worlds), "validation": set(range(5000, 6000))}
     for seed in TRAIN_SEEDS:
         cell = Cell("random", "dpboost-2-dagger", 100, seed, 200)

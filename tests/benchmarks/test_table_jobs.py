@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -83,6 +84,26 @@ def test_an_interrupt_ends_the_script_and_leaves_no_stamp(job, monkeypatch):
     [child] = children
     assert child.poll() is not None
     assert endless.folder.exists() and read_stamp(endless.folder) is None
+
+
+def test_an_interrupted_script_cleans_up_its_processes_too(job, monkeypatch):
+    monkeypatch.setattr(table_jobs, "POLL", 0.1)
+    cleans = job(
+        WRITES
+        + "import subprocess\n"
+        + "other = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(99)'])\n"
+        + "try:\n    (folder / 'ready').touch(), time.sleep(99)\n"
+        + "except KeyboardInterrupt:\n    (folder / 'cleaned').write_text(str(other.wait()))\n"
+    )
+
+    def interrupted(done):
+        if (cleans.folder / "ready").exists():
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(replace(cleans, episodes=9), "abc", interrupted)
+    assert int((cleans.folder / "cleaned").read_text()) != 0
+    assert read_stamp(cleans.folder) is None
 
 
 def test_a_script_tells_how_far_it_is(job, monkeypatch):

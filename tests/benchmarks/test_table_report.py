@@ -80,6 +80,14 @@ def test_the_main_table_pools_training_seeds_and_shows_each():
     assert cells(lines, "random", "teacher")[3:] == ["", "", "72%"]
     assert cells(lines, "random", PLANNERS["baseline"].title)[:2] == ["2 of 20", "10.0%"]
     assert cells(lines, "fixed", PLANNERS["baseline"].title)[4:] == ["", "92%"]  # no teacher there
+
+
+def test_a_planner_stands_beside_the_teacher_in_the_worlds_of_both():
+    failed_later = [*TEACHER, *[False] * 10]
+    lines = main_table([row("teacher", failed_later), row("dpboost-2", GOOD)], 20)
+    assert cells(lines, "random", PLANNERS["dpboost-2"].title)[4] == "+10.0 points"  # 9 and 8 of 10
+    lines = main_table([row("teacher", [True], first=5), row("dpboost-2", GOOD)], 20)
+    assert cells(lines, "random", PLANNERS["dpboost-2"].title)[4] == ""
     assert main_table([], 20) == []
 
 
@@ -106,7 +114,7 @@ def test_the_curve_has_the_first_hundred_worlds_of_one_training_seed():
 
 
 def test_a_report_has_every_table():
-    text = report(FOUND, 20, 0)
+    text = report(FOUND, 20, "rows.json")
     lines = text.splitlines()
     two, one = PLANNERS["dpboost-2"].title, PLANNERS["baseline"].title
     assert cells(lines, "random", two, one) == ["20", "16", "1", "< 0.001"]
@@ -147,12 +155,12 @@ def test_half_the_marks_are_an_error(text):
 
 def test_picture_and_rows_go_beside_the_report(tmp_path):
     path = tmp_path / "docs/results.md"
-    write_report(FOUND, 20, 0, path)
-    told = (tmp_path / "docs/table1.json").read_text()
+    write_report(FOUND, 20, path, "rows.json")
+    told = (tmp_path / "docs/rows.json").read_text()
     assert json.loads(told) == FOUND
     assert sum(line.startswith('{"flags"') for line in told.splitlines()) == len(ROWS)
-    assert "](table1.json)" in path.read_text()
+    assert "](rows.json)" in path.read_text()
     assert (tmp_path / "docs/learning_curve.png").stat().st_size > 1000
     assert "](learning_curve.png)" in path.read_text()
-    write_report(FOUND | {"rows": ROWS[:3]}, 20, 0, path)
+    write_report(FOUND | {"rows": ROWS[:3]}, 20, path, "rows.json")
     assert "learning_curve.png" not in path.read_text() and "17 of 20" in path.read_text()

@@ -48,7 +48,7 @@ class Scripts:
             policy = job.folder / "checkpoints/last/pretrained_model"
             write(
                 policy / "config.json",
-                dict.fromkeys(table_runs.DECIDING, 0) | {"max_transitions": len(job.options)},
+                {"thresholds": [0.5], "cues": [[0]], "max_transitions": len(job.options)},
             )
             (policy / "model.safetensors").write_bytes(self.learned(job))
         if job.script == "eval.py":
@@ -192,14 +192,23 @@ def test_policies_that_are_the_same_bit_for_bit_share_their_runs(tmp_path, scrip
     assert (tmp_path / "eval" / four.name).exists()
 
 
-def test_policies_that_decide_otherwise_do_not(tmp_path, scripts, monkeypatch):
+@pytest.mark.parametrize("other", [{"thresholds": [0.6]}, {"cues": [[0, 1]]}, {"made later": 1}])
+def test_policies_that_decide_otherwise_do_not(tmp_path, scripts, other):
     two, four = (Cell("random", name, 5, 1, 30) for name in ("dpboost-2", "dpboost-4"))
     scripts.learned = lambda job: b"same"
-    monkeypatch.setattr(table_runs, "DECIDING", ("max_transitions",))
     runs_of(tmp_path, two)
     scripts.did()
     folder = tmp_path / "train" / two.name
     config = folder / "checkpoints/last/pretrained_model/config.json"
-    write(config, {"max_transitions": -1})
+    write(config, json.loads(config.read_text()) | other)
     runs_of(tmp_path, four)
     assert [job for job in scripts.did() if job.startswith("eval.py")]
+
+
+def test_stamps_are_those_of_the_cells_own_worlds(tmp_path, scripts):
+    first, more = (replace(BASELINE, episodes=episodes) for episodes in (50, 100))
+    runs_of(tmp_path, first)
+    [(_, stamps)] = runs_of(tmp_path, more, commit="def")
+    assert [stamp["commit"] for stamp in stamps] == ["abc", "abc", "def"]  # training, and runs of 50 worlds
+    [(_, stamps)] = runs_of(tmp_path, first, commit="ghi")
+    assert [stamp["commit"] for stamp in stamps] == ["abc", "abc"]
