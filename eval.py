@@ -5,10 +5,10 @@
     python eval.py --segmentation --policy.path=outputs/train/.../pretrained_model --dataset.root=datasets/...
 
 Prints successes, their rate with its 95% interval, how the failures split and why they failed, and writes the
-same to `eval_info.json` in LeRobot's form, TensorBoard scalars beside it. A run that begins to repeat itself
-ends there, as the failure that it is; its steps are those until then. With `--segmentation` no world runs:
-the policy cuts demonstrations into its macro-actions, and `segmentation.html`, `segmentation.json`, pictures
-in `figures/` and TensorBoard events show how.
+same to `eval_info.json` in LeRobot's form, TensorBoard scalars beside it. Of a planner without recovery a run
+that begins to repeat itself ends there, as the failure that it is; its steps are those until then. With
+`--segmentation` no world runs: the policy cuts demonstrations into its macro-actions; `segmentation.html`,
+`segmentation.json`, pictures in `figures/` and TensorBoard events show how.
 """
 
 import json
@@ -144,17 +144,20 @@ def count_successes(options: EvalOptions) -> None:
     )
     causes = failure_causes(episodes)
     print(run_text(summary, seconds, causes, sum(episode.loop > 0 for episode in episodes)))
-    videos = write_videos(source, world, episodes, options.videos, output_dir / "videos" / f"{WORLD}_0")
-    info = eval_info(WORLD, episodes, summary, causes, seconds, videos)
-    info["dpmacro"] |= {
-        "planner": name,
-        "policy_path": source.path and str(source.path),
-        "recovery": source.recovery,
-        "world": world,
-    }
-    write_scalars(info["overall"], output_dir / "tensorboard")
-    with replacing(output_dir / "eval_info.json") as path:
-        path.write_text(json.dumps(info, indent=2) + "\n")
+    ran = {"planner": name, "policy_path": source.path and str(source.path), "recovery": source.recovery}
+
+    def write_down(videos: Sequence[str]) -> dict[str, Any]:
+        info = eval_info(WORLD, episodes, summary, causes, seconds, videos)
+        info["dpmacro"] |= ran | {"world": world}
+        with replacing(output_dir / "eval_info.json") as path:
+            path.write_text(json.dumps(info, indent=2) + "\n")
+        return info
+
+    write_scalars(write_down([])["overall"], output_dir / "tensorboard")
+    if options.videos:  # which take their time, and may be interrupted
+        write_down(
+            write_videos(source, world, episodes, options.videos, output_dir / "videos" / f"{WORLD}_0")
+        )
     print(f"written to  {output_dir}")
 
 
@@ -213,7 +216,7 @@ def show_segmentation(options: EvalOptions) -> None:
 
 def default_output_dir(job_name: str) -> Path:
     """LeRobot's place for an evaluation."""
-    return Path("outputs/eval") / datetime.now().strftime(f"%Y-%m-%d/%H-%M-%S_{job_name}")
+    return Path("outputs/eval") / f"{datetime.now():%Y-%m-%d/%H-%M-%S}_{job_name}"
 
 
 def run(source: PlannerSource, world: dict[str, Any], seeds: Sequence[int], workers: int) -> list[Episode]:
@@ -233,8 +236,6 @@ def write_videos(
     source: PlannerSource, world: dict[str, Any], episodes: Sequence[Episode], count: int, folder: Path
 ) -> list[str]:
     """Replay up to `count` runs, failed ones first, into MP4s; their paths."""
-    if count == 0:
-        return []
     from dpmacro.videos import write_run
 
     chosen = sorted(range(len(episodes)), key=lambda index: episodes[index].success)[:count]

@@ -61,10 +61,9 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     ]
     lines += [f"macro {macro}      {frames} frames" for macro, frames in enumerate(occupancy)]
     shares = result.switches.detected.tolist()
+    judges = "left-out demonstrations" if result.switches.left_out else "the demonstration it learned from"
     for (source, target), share in zip(result.switches.pairs, shares, strict=True):
-        lines.append(
-            f"switch {source}->{target}  recognises {share:.0%} of the changes in left-out demonstrations"
-        )
+        lines.append(f"switch {source}->{target}  recognises {share:.0%} of the changes in {judges}")
     plan = result.plan
     searched = f"{plan.drawn} drawn at a time" if plan.drawn else "all sorted"
     lines += [

@@ -39,10 +39,10 @@ def realigned(
     """The segmentation with its changes moved to where switch functions fire that `fit` makes from labels.
 
     Where a change is a frame or two late in a few trajectories, the others tell. Changes are moved as long as
-    more of them are recognised for it, `ALIGNMENTS` times at most.
+    more of them are recognised for it, `ALIGNMENTS` times at most; where nothing was left out, never.
     """
     switches = fit(labels)
-    for _ in range(ALIGNMENTS):
+    for _ in range(ALIGNMENTS * switches.left_out):
         moved = aligned(switches, labels, lengths)
         if torch.equal(moved, labels):
             break

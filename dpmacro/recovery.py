@@ -20,7 +20,9 @@ from torch import Tensor
 
 from dpmacro.switching import macro_segments
 
-__all__ = ["Recovery", "Stretches"]
+__all__ = ["ACTIONS", "Recovery", "Stretches"]
+
+ACTIONS = 256  # that a byte tells apart
 
 
 @dataclass(frozen=True)
@@ -44,9 +46,11 @@ class Stretches:
         actions: Int64[Tensor, " frames"],
         lengths: Int64[Tensor, " trajectories"],
     ) -> "Stretches":
-        """The segments of constant macro-label, in order. Raises ValueError for more than 256 actions."""
-        if int(actions.max()) > 255:
-            raise ValueError(f"an action is {int(actions.max())}: a policy keeps at most 256 actions, 0..255")
+        """The segments of constant macro-label, in order. ValueError for more than `ACTIONS` actions."""
+        if int(actions.max()) >= ACTIONS:
+            raise ValueError(
+                f"an action is {int(actions.max())}: a policy holds {ACTIONS} at most, from 0 on"
+            )
         segments = macro_segments(labels, lengths)
         return cls(
             actions.to(torch.uint8).cpu(),

@@ -15,7 +15,7 @@ __all__ = ["eval_info", "run_text", "write_scalars"]
 
 
 def run_text(summary: SuccessSummary, seconds: float, causes: Sequence[str], loops: int) -> str:
-    """The result for people; `loops` is the number of runs that repeat themselves."""
+    """The result for people; `loops` is the number of runs that were seen to repeat themselves."""
     low, high = summary.interval
     lines = [
         f"successes   {summary.successes} of {summary.runs} runs",
@@ -30,7 +30,8 @@ def run_text(summary: SuccessSummary, seconds: float, causes: Sequence[str], loo
         lines.append("causes")
     for cause, count in Counter(filter(None, causes)).most_common():
         lines.append(f"{count:>7}     {cause.replace('_', ' ')}")
-    lines.append(f"loops       {loops} of the failures repeat themselves for ever")
+    if loops:
+        lines.append(f"loops       {loops} of the failures repeat themselves for ever")
     return "\n".join(lines)
 
 

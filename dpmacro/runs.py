@@ -35,7 +35,7 @@ class RunFolder:
     @classmethod
     def dated(cls, job_name: str) -> "RunFolder":
         """outputs/train/<date>/<time>_<job>."""
-        return cls(Path("outputs/train") / datetime.now().strftime(f"%Y-%m-%d/%H-%M-%S_{job_name}"))
+        return cls(Path("outputs/train") / f"{datetime.now():%Y-%m-%d/%H-%M-%S}_{job_name}")
 
     @property
     def tensorboard(self) -> Path:

@@ -19,7 +19,7 @@ from dpmacro.learners import WeakLearner
 from dpmacro.stopping import BestRound
 from dpmacro.switching import Event, SwitchFunctions, cued, macro_segments
 
-__all__ = ["FOLDS", "SwitchSettings", "fit_switches"]
+__all__ = ["FOLDS", "SwitchSettings", "examples", "fit_switches"]
 
 COVERED = 0.75  # of the changes, by their cues
 FOLDS = 5  # of trajectories; one function for each leaves it out, one more sees all
@@ -80,7 +80,7 @@ def fit_switches(
         on_round: called after every round with the balanced loss and accuracy over all of them.
 
     All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
-    be left out, and the calibration uses the training scores.
+    be left out, and the calibration uses the training scores (`SwitchFunctions.left_out` is False).
 
     Raises ValueError where the learner does not hold a whole number of copies of the frames.
     """
@@ -101,7 +101,7 @@ def fit_switches(
     n_fits = int(fold_of.max()) + 2 if fold_of.any() else 1  # the last one sees every trajectory
     weights, targets = zip(
         *(
-            _examples(pair, events, fold_of == fold, own, settings.window)
+            examples(pair, events, fold_of == fold, own, settings.window)
             for pair, own in zip(pairs, shown.unbind(1), strict=True)
             for fold in [*range(n_fits - 1), -1]
         ),
@@ -116,7 +116,8 @@ def fit_switches(
     found = [calibrated(pair, events, scores) for pair, scores in zip(pairs, held_out.unbind(1), strict=True)]
     thresholds, detected = torch.tensor(found).unbind(1)
     last = torch.arange(n_fits - 1, len(targets), n_fits, device=learner.device)
-    return SwitchFunctions(pairs, thresholds, detected, held_out, boosting.strong(kept).select(last), cues)
+    classifier = boosting.strong(kept).select(last)
+    return SwitchFunctions(pairs, thresholds, detected, held_out, classifier, cues, n_fits > 1)
 
 
 def _boosted(
@@ -154,14 +155,22 @@ def _boosted(
     return held_out, kept
 
 
-def _examples(
+def examples(
     pair: tuple[int, int],
     events: Sequence[Event],
     left_out: Bool[Tensor, " trajectories"],
     shown: Bool[Tensor, " frames"],
     window: int,
 ) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """Base weights, half a side, and targets of a switch function that never sees what is left out."""
+    """Base weights, half a side, and targets of a switch function that never sees what is left out.
+
+    Args:
+        pair: (from, to) macro-actions.
+        events: the segments of all trajectories.
+        left_out: trajectories without examples.
+        shown: frames that may be examples.
+        window: J, the positive frames from a change on; fewer where the next segment is shorter.
+    """
     weights = torch.zeros(len(shown))
     targets = torch.zeros(len(shown), dtype=torch.bool)
     macro, following = pair

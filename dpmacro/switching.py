@@ -26,18 +26,26 @@ __all__ = [
 
 @dataclass(frozen=True)
 class SwitchFunctions:
-    """One switch function for every observed change, the same order throughout."""
+    """One switch function for every observed change, the same order throughout.
 
-    pairs: list[tuple[int, int]]  # (from, to)
+    Attributes:
+        pairs: (from, to) macro-actions.
+        thresholds: it fires where its score is above.
+        detected: share, 0 to 1, of the segments before its change where, by `held_out`, it fires at the
+            change and never before.
+        held_out: score of every frame by a function that never saw its trajectory, -18 where it may not fire.
+        classifier: one binary problem per switch function; None where nothing ever changes.
+        cues: actions that each may follow; none stands for any.
+        left_out: False where there was one trajectory alone, whose `held_out` is by what learned from it.
+    """
+
+    pairs: list[tuple[int, int]]
     thresholds: Float[Tensor, " switches"]
-    detected: Float[
-        Tensor, " switches"
-    ]  # share of left-out segments in which it fires at the change, never before
-    held_out: Float[
-        Tensor, "frames switches"
-    ]  # score of every frame by a function that never saw its trajectory, -18 where it may not fire
-    classifier: StrongClassifier | None  # one binary problem per switch; None where nothing ever changes
-    cues: tuple[tuple[int, ...], ...] = ()  # actions that each may follow; none stands for any
+    detected: Float[Tensor, " switches"]
+    held_out: Float[Tensor, "frames switches"]
+    classifier: StrongClassifier | None
+    cues: tuple[tuple[int, ...], ...] = ()
+    left_out: bool = True
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from dpmacro.options import PlannerOptions, TrainOptions
 from dpmacro.policy import MacroPolicy
 from dpmacro.policy_config import PolicyConfig
 from dpmacro.quantising import Quantiser
-from dpmacro.recovery import Stretches
+from dpmacro.recovery import ACTIONS, Stretches
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
 from dpmacro.switch_training import FOLDS as SWITCH_FOLDS
@@ -51,7 +51,7 @@ class TrainingResult:
     """What a run leaves behind."""
 
     policy: MacroPolicy
-    discovery: DPBoostResult
+    discovery: DPBoostResult  # its labels with changes moved to where switch functions fire
     switches: SwitchFunctions
     plan: Plan  # how the feature columns were held
     pretrained: Path  # folder to give to eval.py
@@ -85,6 +85,11 @@ class Trainer:
             raise ValueError(
                 f"planner.early_stopping leaves demonstrations out and {demonstrations.root} has one: "
                 "record more, or leave it off"
+            )
+        if int(self.actions.max()) >= ACTIONS:
+            raise ValueError(
+                f"{demonstrations.root} has an action {int(self.actions.max())}: number them from 0, "
+                f"a policy holds {ACTIONS} at most"
             )
         learners = options.planner.learner, options.planner.switch_learner
         if options.planner.early_stopping and "mixed" in learners:
@@ -122,13 +127,17 @@ class Trainer:
             discovery, switches = replace(discovery, labels=labels), fit(settings, labels)
             monitor.close()
             policy = self._policy(features, quantiser, discovery, switches)
+            pretrained = self._save(policy, discovery)
             pictures = TrainingPictures(writer, self.folder.figures)
             pictures.show(self.demonstrations, policy, discovery, switches)
-        options = plain_options(self.options)
+        return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
+
+    def _save(self, policy: MacroPolicy, discovery: DPBoostResult) -> Path:
+        """Save the policy and the segmentation, mirror images left out; returns its folder."""
         lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
         labels = discovery.labels[: int(lengths.sum())]
-        pretrained = self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
-        return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
+        options = plain_options(self.options)
+        return self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
 
     @property
     def _switch_settings(self) -> SwitchSettings:

@@ -1,5 +1,7 @@
 """Changes that are late in a few trajectories, told by the others."""
 
+from functools import partial
+
 import torch
 from visible import trajectories
 
@@ -38,6 +40,18 @@ def test_changes_stay_where_moving_them_helps_no_switch_function():
 
     found = realigned(fit, labels, lengths)
     assert asked == [labels.tolist(), [0, 1, 1, 1, 0, 0, 1, 1]] and torch.equal(found, labels)
+
+
+def test_changes_stay_where_nothing_was_left_out():
+    lengths, labels = torch.tensor([4]), torch.tensor([0, 0, 1, 1])
+    scores = torch.tensor([-1.0, 2, -1, -1])[:, None]
+
+    def fit(left_out, given):
+        share = torch.tensor([float(given[1])])  # more is recognised once it is moved
+        return SwitchFunctions([(0, 1)], torch.zeros(1), share, scores, None, left_out=left_out)
+
+    assert realigned(partial(fit, True), labels, lengths).tolist() == [0, 1, 1, 1]
+    assert realigned(partial(fit, False), labels, lengths).tolist() == [0, 0, 1, 1]
 
 
 def test_trajectories_with_other_changes_stay_as_they_are():

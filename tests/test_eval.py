@@ -75,7 +75,7 @@ def test_the_teacher_as_a_command(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "successes   0 of 3 runs" in done.stdout
     low, high = wilson_interval(0, 3)
-    assert "      3     out of time\nloops       0 of" in done.stdout
+    assert "      3     out of time\nwritten to" in done.stdout
     assert f"0.0%, 95% Wilson interval {low:.1%} to {high:.1%}" in done.stdout
     assert "3/3" in done.stderr and "success 0%" in done.stderr
 
@@ -213,6 +213,29 @@ def test_a_policy_of_another_world_is_refused(world, message, script, tmp_path, 
         call(script, monkeypatch, f"--policy.path={tmp_path}", "--episodes=1")
     error = capsys.readouterr().err
     assert exit_.value.code == 2 and error.count("\n") == 1 and message in error
+
+
+def test_results_outlive_videos_that_are_interrupted(script, tmp_path, monkeypatch):
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(script, "write_videos", interrupted)
+    with pytest.raises(SystemExit):
+        call(
+            script,
+            monkeypatch,
+            "--policy.type=teacher",
+            "--episodes=1",
+            "--videos=1",
+            *SHORT,
+            f"--output_dir={tmp_path}",
+        )
+    info = json.loads((tmp_path / "eval_info.json").read_text())
+    assert len(info["dpmacro"]["outcomes"]) == 1 and info["overall"]["video_paths"] == []
+
+
+def test_a_folder_by_date_ends_in_the_name_whatever_it_holds(script):
+    assert script.default_output_dir("100%Success").name.endswith("_100%Success")
 
 
 def test_results_are_never_overwritten(script, tmp_path, monkeypatch, capsys):

@@ -32,7 +32,7 @@ def test_parts_that_do_not_fit_are_refused(stretches):
 
 
 def test_too_many_actions_for_a_byte_are_refused():
-    with pytest.raises(ValueError, match="an action is 256"):
+    with pytest.raises(ValueError, match="an action is 256: a policy holds 256 at most"):
         Stretches.of(torch.zeros(2, dtype=torch.int64), torch.tensor([0, 256]), torch.tensor([2]))
 
 

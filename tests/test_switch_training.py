@@ -1,15 +1,19 @@
 """Switch functions fitted to trajectories whose change can be seen, and to some where it cannot."""
 
+from itertools import chain
+
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from visible import trajectories
 
 from dpmacro.boosting import MARGIN_LIMIT
 from dpmacro.learners import Frames
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.learners.stumps import StumpLearner
-from dpmacro.switch_training import SwitchSettings, fit_switches
-from dpmacro.switching import causal_labels, cued
+from dpmacro.switch_training import SwitchSettings, examples, fit_switches
+from dpmacro.switching import causal_labels, cued, macro_segments
 
 
 def fit(learner, labels, lengths, rounds=10, actions=None, on_round=lambda _: None, **settings):
@@ -204,3 +208,39 @@ def test_without_a_change_there_is_no_switch_function():
 def test_bad_settings_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         SwitchSettings(**options)
+
+
+def test_a_single_trajectory_is_judged_by_what_learned_from_it_and_said_so():
+    learner, labels, lengths = trajectories()
+    alone = fit(
+        StumpLearner(SortedLevels.build(learner.data.levels[:, : lengths[0]])),
+        labels[: lengths[0]],
+        lengths[:1],
+    )
+    scores = alone.classifier.scores(Frames(learner.data.levels[:, : lengths[0]]))[:, :, 0]
+    assert not alone.left_out
+    torch.testing.assert_close(alone.held_out, scores)
+    assert fit(learner, labels, lengths).left_out
+
+
+@given(st.data())
+def test_examples_are_the_frames_from_a_change_on_and_those_before_it(data):
+    """Frame by frame: shown, of no trajectory left out, J positive ones at most, none beyond its segment."""
+    parts = data.draw(st.lists(st.lists(st.integers(0, 2), min_size=1, max_size=12), min_size=1, max_size=4))
+    window, n_frames = data.draw(st.integers(1, 5)), sum(map(len, parts))
+    left_out = data.draw(st.lists(st.booleans(), min_size=len(parts), max_size=len(parts)))
+    shown = data.draw(st.lists(st.booleans(), min_size=n_frames, max_size=n_frames))
+    side = []
+    for part, out in zip(parts, left_out, strict=True):
+        for frame, macro in enumerate(part):
+            since = next((k for k in range(frame, 0, -1) if part[k - 1] != part[k]), 0)  # its segment's start
+            positive = since > 0 and (part[since - 1], macro) == (0, 1) and frame - since < window
+            side.append(
+                "" if out or not shown[len(side)] else "positive" if positive else "negative" * (macro == 0)
+            )
+    labels, lengths = torch.tensor([*chain(*parts)]), torch.tensor([len(part) for part in parts])
+    events = macro_segments(labels, lengths)
+    weights, targets = examples((0, 1), events, torch.tensor(left_out), torch.tensor(shown), window)
+    for name, own in (("positive", targets), ("negative", ~targets)):
+        expected = torch.tensor([float(found == name) for found in side])
+        torch.testing.assert_close(weights * own, expected / max(2 * float(expected.sum()), 1))

@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,9 @@ from dpmacro.columns import GIB, Plan
 from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.features import previous_images
-from dpmacro.options import TrainOptions
+from dpmacro.options import DatasetOptions, TrainOptions
 from dpmacro.policy import MacroPolicy
+from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
 from dpmacro.training import TABLES
 
@@ -160,6 +162,33 @@ def test_every_way_to_boost_leaves_a_policy_of_its_kind(recorded, tmp_path, monk
     assert names == kinds
     assert MacroPolicy.load(pretrained).config.macros == 2
     assert "all sorted" in capsys.readouterr().out
+
+
+def test_a_policy_outlives_pictures_that_are_interrupted(recorded, tmp_path, monkeypatch):
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training.TrainingPictures, "show", interrupted)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *SMALL)
+    assert MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model").config.macros == 2
+
+
+def test_one_demonstration_is_enough_and_no_other_judges_its_switch(recorded, tmp_path, monkeypatch, capsys):
+    options = [f"--dataset.root={recorded}", "--dataset.episodes=[0]", f"--output_dir={tmp_path / 'run'}"]
+    call(monkeypatch, *options, *SMALL)
+    printed = capsys.readouterr().out
+    assert "of the changes in the demonstration it learned from" in printed and "left-out" not in printed
+
+
+def test_more_actions_than_a_policy_holds_are_refused_before_any_work(recorded, tmp_path):
+    demonstrations = Demonstrations.load(recorded)
+    spoiled = replace(demonstrations, actions=np.where(demonstrations.actions == 1, 256, 0))
+    options = TrainOptions(dataset=DatasetOptions(root=recorded))
+    with pytest.raises(
+        ValueError, match=r"has an action 256: number them from 0, a policy holds 256 at most"
+    ):
+        training.Trainer(spoiled, options, RunFolder(tmp_path / "run"))
 
 
 def test_changes_are_aligned_by_all_frames_and_made_by_those_after_their_cues(
