@@ -132,6 +132,11 @@ def _boosted(
     n_frames, n_problems = len(own_fit), base.shape[1]
     n_switches = n_problems // n_fits
     last = torch.arange(n_fits - 1, n_problems, n_fits, device=base.device)
+
+    def own_scores() -> Float[Tensor, "frames switches"]:
+        scores = boosting.scores[:n_frames, :, 0].unflatten(1, (n_switches, n_fits))
+        return scores.gather(2, own_fit[:, None, None].expand(-1, n_switches, 1)).squeeze(2)
+
     stopping, kept = BestRound(settings.rounds), None
     held_out = torch.zeros(n_frames, n_switches, device=base.device)
     for number in range(1, settings.rounds + 1):
@@ -141,18 +146,17 @@ def _boosted(
         loss = float((base * boosting.losses()).sum() / n_problems)
         over = tuple(int(k) // n_fits for k in ended if int(k) % n_fits == n_fits - 1)
         on_round(Round("switch", number, settings.rounds, loss, accuracy, None, ended=over))
-        scores = boosting.scores[:n_frames, :, 0].unflatten(1, (n_switches, n_fits))
-        scores = scores.gather(2, own_fit[:, None, None].expand(-1, n_switches, 1)).squeeze(2)
-        costs = exponentials_of(scores[:, :, None], boosting.targets[:n_frames, last])[:, :, 0]
-        exhausted = stopping.exhausted((base[:n_frames, last] * costs).sum(0))
         if settings.early_stopping:
+            scores = own_scores()
+            costs = exponentials_of(scores[:, :, None], boosting.targets[:n_frames, last])[:, :, 0]
+            exhausted = stopping.exhausted((base[:n_frames, last] * costs).sum(0))
             kept = stopping.best.repeat_interleave(n_fits)
             held_out = torch.where(stopping.best == number, scores, held_out)
-        else:
-            held_out = scores
-        if bool(boosting.ended.all()) or (settings.early_stopping and exhausted):
+            if exhausted:
+                break
+        if bool(boosting.ended.all()):
             break
-    return held_out, kept
+    return held_out if settings.early_stopping else own_scores(), kept
 
 
 def examples(
