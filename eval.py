@@ -143,7 +143,6 @@ def count_successes(options: EvalOptions) -> None:
         [int(episode.macros[-1]) for episode in episodes],
     )
     causes = failure_causes(episodes)
-    print(run_text(summary, seconds, causes, sum(episode.loop > 0 for episode in episodes)))
     ran = {"planner": name, "policy_path": source.path and str(source.path), "recovery": source.recovery}
 
     def write_down(videos: Sequence[str]) -> dict[str, Any]:
@@ -154,6 +153,7 @@ def count_successes(options: EvalOptions) -> None:
         return info
 
     write_scalars(write_down([])["overall"], output_dir / "tensorboard")
+    print(run_text(summary, seconds, causes, sum(episode.loop > 0 for episode in episodes)))
     if options.videos:  # which take their time, and may be interrupted
         write_down(
             write_videos(source, world, episodes, options.videos, output_dir / "videos" / f"{WORLD}_0")

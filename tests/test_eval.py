@@ -234,6 +234,15 @@ def test_results_outlive_videos_that_are_interrupted(script, tmp_path, monkeypat
     assert len(info["dpmacro"]["outcomes"]) == 1 and info["overall"]["video_paths"] == []
 
 
+def test_results_outlive_a_reader_who_closes_the_pipe(tmp_path):
+    options = ["--policy.type=teacher", "--episodes=1", *SHORT, f"--output_dir={tmp_path}"]
+    command = [sys.executable, "-u", str(SCRIPT), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as running:
+        running.stdout.close()
+        assert running.wait(timeout=60) == 2
+    assert json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]["seeds"] == [1000]
+
+
 def test_a_folder_by_date_ends_in_the_name_whatever_it_holds(script):
     assert script.default_output_dir("100%Success").name.endswith("_100%Success")
 
