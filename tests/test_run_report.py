@@ -50,7 +50,7 @@ def test_the_text_counts_endings_causes_and_loops():
 
 def test_without_a_failure_no_cause_is_told():
     text = run_text(success_summary(["success"], [1], [1]), 1.0, [""], 0)
-    assert "causes" not in text and "failures    0" in text
+    assert "causes" not in text and "loops" not in text and "failures    0" in text
 
 
 def test_the_information_is_lerobots_with_a_section_of_our_own():
