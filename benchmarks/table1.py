@@ -42,8 +42,6 @@ from dpmacro import cli
 from dpmacro.files import replacing
 from dpmacro.rollouts import SUCCESS
 
-DEFAULT_PLANNERS = ("teacher", "baseline", "dpboost-2", "dpboost-4", "dpboost-2-dagger")
-QUICK_PLANNERS = DEFAULT_PLANNERS[:4]
 QUICK_EPISODES = 30
 
 
@@ -55,8 +53,8 @@ class TableOptions:
     """main: the table; curve: over numbers of demonstrations; paper: the paper's 320x240 rendering."""
     flags: list[str] = field(default_factory=lambda: list(FLAGS))
     """random, fixed; curve and paper have random flags."""
-    planners: list[str] = field(default_factory=lambda: list(DEFAULT_PLANNERS))
-    """teacher, baseline, dpboost-2, dpboost-4, dpboost-2-dagger, dpboost-4-dagger."""
+    planners: list[str] = field(default_factory=lambda: list(PLANNERS))
+    """teacher, baseline, dpboost-2, dpboost-4, dpboost-2-dagger."""
     train_seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
     """Training seeds, each with demonstrations of its own; curve and paper have the first."""
     demonstrations: int = 20
@@ -107,7 +105,7 @@ class TableOptions:
     def plan(self) -> list[Cell]:
         """The cells."""
         if self.quick:
-            planners = [name for name in self.planners if name in QUICK_PLANNERS]
+            planners = [name for name in self.planners if not PLANNERS[name].slow]
             episodes = min(self.episodes, QUICK_EPISODES)
             return cells(
                 ["main"], ["random"], planners, self.train_seeds[:1], self.demonstrations, [], episodes

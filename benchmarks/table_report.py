@@ -25,8 +25,6 @@ PAIRS = (
     ("dpboost-4", TEACHER),
     ("dpboost-2-dagger", "dpboost-2"),
     ("dpboost-2-dagger", TEACHER),
-    ("dpboost-4-dagger", "dpboost-4"),
-    ("dpboost-4-dagger", TEACHER),
 )
 POOLED = """\
 Successes are pooled over training seeds. The 95% Wilson interval takes all runs for independent, which those
