@@ -47,7 +47,14 @@ if TYPE_CHECKING:
 else:
     WorldOptions = make_dataclass(
         "WorldOptions",
-        [(option.name, option.type | None, field(default=None)) for option in fields(TwoFlagsConfig)],
+        [
+            (
+                option.name,
+                option.type | None,
+                field(default=None, metadata=cli.sentence_of(TwoFlagsConfig, option)),
+            )
+            for option in fields(TwoFlagsConfig)
+        ],
         namespace={"__doc__": "Options of the world; those not given stay as the policy was trained with."},
         frozen=True,
     )
@@ -78,7 +85,7 @@ class EvalOptions:
     """Frames by which a found change point may miss a true one, with --segmentation."""
     episodes: int = 100
     """Runs, each with its own seed."""
-    seed: int = 1000
+    seed: int = 10000
     """Seed of the first run; the others follow it. With --segmentation that of the random cuts."""
     workers: int = 1
     """Processes that share the runs; the results do not depend on it."""

@@ -59,9 +59,9 @@ class BenchOptions:
     """What to measure, and how thoroughly."""
 
     only: list[str] = field(default_factory=lambda: list(BENCHMARKS))
-    """Benchmarks to run: round, accuracy, dpboost, segmentation, training, acting, steps."""
+    """Benchmarks to run, out of round, accuracy, dpboost, segmentation, training, acting and steps."""
     matrices: list[str] = field(default_factory=lambda: list(matrices.KINDS))
-    """Data to boost on: pixels, rectangles, random."""
+    """Data to boost on, out of pixels, rectangles and random."""
     peers: list[str] = field(default_factory=lambda: list(rounds.PEERS))
     """Libraries whose rounds are timed beside ours."""
     learners: list[str] = field(default_factory=lambda: list(stumps.OPTIONS))
@@ -71,7 +71,7 @@ class BenchOptions:
     threads: int = 2
     """Threads of every measurement, ours and the peers'."""
     quick: bool = False
-    """Small data: shows that everything runs, not what it takes."""
+    """Small data; shows that everything runs, not what it takes."""
     dataset: Path = Path("datasets/two_flags_random")
     """Recorded demonstrations."""
     output: Path = Path("outputs/bench.json")

@@ -82,13 +82,13 @@ class BenchOptions:
     """What to segment, and how."""
 
     sources: list[str] = field(default_factory=lambda: list(TOLERANCES))
-    """Data to segment: digits, two_flags, babyai."""
+    """Data to segment, out of digits, two_flags and babyai."""
     methods: list[str] = field(default_factory=lambda: list(METHODS))
     """dpmacro, GaussianHMM, AR-HMM, regression HMM, KernelCPD, k-means, uniform cuts, random cuts."""
     seeds: list[int] = field(default_factory=lambda: list(range(5)))
     """Seeds of the methods, and of the digits."""
     quick: bool = False
-    """Little data and few settings: shows that everything runs, not how well; rows go to *_quick.json."""
+    """Little data and few settings; shows that everything runs, not how well; rows go to *_quick.json."""
     fresh: bool = False
     """Whether to find anew what there are rows of."""
     two_flags: Path = Path("datasets/two_flags_random")
@@ -96,7 +96,7 @@ class BenchOptions:
     babyai: Path = Path("datasets/babyai")
     """Folder of recorded BabyAI levels."""
     truth: str = "subgoal"
-    """Column of theirs that is the truth: subgoal, or purpose."""
+    """Column of theirs that is the truth, subgoal or purpose."""
     output: Path = Path("outputs/bench_segmentation.json")
     """Where the rows go."""
 

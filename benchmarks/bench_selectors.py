@@ -61,13 +61,13 @@ class SelectorOptions:
     """What to segment."""
 
     sources: list[str] = field(default_factory=lambda: list(TOLERANCES))
-    """Data to segment: digits, two_flags, babyai."""
+    """Data to segment, out of digits, two_flags and babyai."""
     seeds: list[int] = field(default_factory=lambda: list(range(5)))
     """Seeds of DPBoost, of the features, and of the digits."""
     rounds: int = 60
     """Boosting rounds of the final fits; more change the segmentation little."""
     quick: bool = False
-    """Little data and few restarts: shows that everything runs, not how well; rows go to *_quick.json."""
+    """Little data and few restarts; shows that everything runs, not how well; rows go to *_quick.json."""
     fresh: bool = False
     """Whether to find anew what there are rows of."""
     two_flags: Path = Path("datasets/two_flags_random")
@@ -75,7 +75,7 @@ class SelectorOptions:
     babyai: Path = Path("datasets/babyai")
     """Folder of recorded BabyAI levels."""
     truth: str = "purpose"
-    """Column of theirs that is the truth: purpose, or subgoal."""
+    """Column of theirs that is the truth, purpose or subgoal."""
     output: Path = Path("outputs/bench_selectors.json")
     """Where the rows go; the picture beside them."""
 

@@ -39,7 +39,7 @@ class StepsOptions:
     repeats: int = 5
     """Measurements that a median is over."""
     quick: bool = False
-    """Short runs: shows that everything works, not how fast it is."""
+    """Short runs; shows that everything works, not how fast it is."""
 
     def __post_init__(self) -> None:
         if self.repeats < 1:

@@ -6,16 +6,26 @@ Options are LeRobot's own kind (draccus): ``--group.field=value`` for every fiel
 
 import difflib
 import sys
+from argparse import ArgumentParser as Argparse
 from collections.abc import Callable, Sequence
-from typing import NoReturn, TypeVar
+from dataclasses import Field
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
 
+from draccus import cfgparsing
 from draccus.argparsing import ArgumentParser
+from draccus.parsers.decoding import decode
 from draccus.utils import DecodingError, DraccusException
+from draccus.wrappers.docstring import get_attribute_docstring
+from yaml import YAMLError
 
 Config = TypeVar("Config")
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
+BARE_LIST = "is not of a valid input for a list type"
+
+decode.register(Path, lambda value, path: Path(value).expanduser())  # a shell leaves the ~ of --root=~/x
 
 
 def parse(config_class: type[Config], arguments: Sequence[str] | None = None) -> Config:
@@ -31,10 +41,16 @@ def parse(config_class: type[Config], arguments: Sequence[str] | None = None) ->
         raise ValueError(_with_suggestion(message, parser))
 
     parser.parser.error = fail
+    _check_readable(arguments)
     try:
         return parser.parse_args(arguments)
     except (DraccusException, DecodingError) as error:
         raise ValueError(_root_message(error)) from error
+
+
+def sentence_of(config_class: type, option: Field) -> dict[str, Any]:
+    """Metadata that gives a field of another class the sentence that this field of `config_class` has."""
+    return {"custom_args": {"help": get_attribute_docstring(config_class, option.name).docstring_below}}
 
 
 def run(main: Callable[[Config], None], config_class: type[Config]) -> None:
@@ -53,8 +69,44 @@ def run(main: Callable[[Config], None], config_class: type[Config]) -> None:
         sys.exit(INTERRUPTED)
 
 
+def _check_readable(arguments: Sequence[str]) -> None:
+    """Raise ValueError for a value, or a file of options, that is not written as YAML or JSON is."""
+    for argument in arguments:
+        value = argument.partition("=")[2] if argument.startswith("--") else argument
+        try:
+            cfgparsing.parse_string(value)
+        except YAMLError as error:
+            raise ValueError(
+                f"{argument} cannot be read ({_problem(error)}): close brackets and quotes, and put a text "
+                "with special characters into quotes of its own"
+            ) from error
+    files = Argparse(add_help=False, allow_abbrev=False)
+    files.add_argument("--config_path", nargs="?")
+    path = files.parse_known_args(arguments)[0].config_path
+    if path is None:
+        return
+    try:
+        with Path(path).open() as file:
+            found = cfgparsing.load_config(file, file=path)
+    except (YAMLError, ValueError) as error:
+        raise ValueError(
+            f"--config_path={path} cannot be read ({_problem(error)}): give a JSON file"
+        ) from error
+    if not isinstance(found, dict):
+        raise ValueError(
+            f"--config_path={path} holds a {type(found).__name__}, no options: give a run's train_config.json"
+        )
+
+
+def _problem(error: Exception) -> str:
+    """What is wrong, without the text that it is wrong in."""
+    return str(getattr(error, "problem", None) or error)
+
+
 def _root_message(error: BaseException) -> str:
     """The message of the ValueError that a dataclass raised, where draccus wrapped one up."""
+    if BARE_LIST in str(error):
+        return f"{str(error).strip()}; write it in brackets, like '[0,1,2]'"
     cause: BaseException | None = None if isinstance(error, DecodingError) else error
     while cause is not None:
         if isinstance(cause, ValueError) and not isinstance(cause, DraccusException):

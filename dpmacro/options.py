@@ -35,7 +35,7 @@ class DatasetOptions:
     truth: str | None = None
     """Integer column with the true macro-labels, for metrics only; by default the recorded one, if any."""
     mirror: bool = False
-    """Whether to learn from the mirror image of every demonstration, too: turns left become turns right."""
+    """Whether to learn from the mirror image of every demonstration, too; turns left become turns right."""
     mirror_actions: list[list[int]] | None = None
     """Pairs of actions that a mirror exchanges, like [[1,2]]; by default those named left and right."""
 
@@ -80,7 +80,7 @@ class PlannerOptions:
     max_transitions: int | None = None
     """Bound S on transitions in a demonstration; by default Q - 1, and with auto macros twice that, too."""
     learner: str = "stumps"
-    """Weak learners of the strong classifiers: stumps, convnet, or mixed for stumps first, then networks."""
+    """Weak learners of the strong classifiers, stumps, convnet, or mixed for stumps first, then networks."""
     rounds: int = 300
     """Boosting rounds of the strong classifiers; those of networks are convnet.rounds."""
     shrinkage: float = 0.1
@@ -96,7 +96,7 @@ class PlannerOptions:
     drawn: int = 0
     """Random columns that a round of stumps searches instead of all, faster and not exact; 0 for all."""
     reuse: int = 1
-    """Rounds that a search serves: those after it search its best columns alone, or its draw, faster."""
+    """Rounds that a search serves; those after it search its best columns alone, or its draw, faster."""
     memory_limit: float = 6.0
     """GiB that training may take; where sorted columns do not fit, a round searches some of them."""
     early_stopping: bool = False
@@ -112,7 +112,7 @@ class PlannerOptions:
     switch_drawn: int = 32
     """Random columns that a round of stumps searches for them."""
     switch_mirror: bool = True
-    """Whether they learn from mirror images, too: they look, and need no mirrored actions."""
+    """Whether they learn from mirror images, too; they look, and need no mirrored actions."""
     switch_shrinkage: float = 0.2
     """Factor on every weak hypothesis of a switch function."""
 

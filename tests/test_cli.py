@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 
@@ -27,6 +28,8 @@ class Options:
     inner: Inner = field(default_factory=Inner)
     name: str | None = None
     fast: bool = False
+    many: list[int] | None = None
+    folder: Path = Path()
 
 
 def test_options_come_as_lerobot_has_them(tmp_path):
@@ -49,6 +52,11 @@ def test_options_come_as_lerobot_has_them(tmp_path):
         ("--inner.size=[3]", "Expected 2 items, got 1"),
         ("--inner.count", "expected one argument"),
         ("--config_path=/no/such/file.json", "/no/such/file.json"),
+        ("--config_path", "expected one argument"),
+        ("--many=[0", "--many=[0 cannot be read (expected ',' or ']'"),
+        ("--many=0,1", "write it in brackets, like '[0,1,2]'"),
+        ("--name=a: b: c", "--name=a: b: c cannot be read (mapping values are not allowed here)"),
+        ("--folder=@x", "--folder=@x cannot be read"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(monkeypatch, capsys, argument, message):
@@ -59,6 +67,27 @@ def test_a_mistake_is_one_line_and_status_2(monkeypatch, capsys, argument, messa
     assert stop.value.code == 2
     assert len(error.strip().splitlines()) == 1
     assert message in error
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("o.md", "a: b: c", "cannot be read (mapping values are not allowed here): give a JSON file"),
+        ("o.json", "{", "cannot be read (Expecting property name"),
+        ("o.json", "[1]", "holds a list, no options"),
+        ("o.yaml", "", "holds a NoneType, no options"),
+    ],
+)
+def test_a_file_of_something_else_is_one_line(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError) as error:
+        cli.parse(Options, [f"--config_path={tmp_path / name}"])
+    assert f"--config_path={tmp_path / name} {message}" in str(error.value)
+
+
+def test_a_folder_may_begin_at_home(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/she")
+    assert cli.parse(Options, ["--folder=~/runs"]).folder == Path("/home/she/runs")
 
 
 @pytest.mark.parametrize(

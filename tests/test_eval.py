@@ -240,7 +240,7 @@ def test_results_outlive_a_reader_who_closes_the_pipe(tmp_path):
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as running:
         running.stdout.close()
         assert running.wait(timeout=60) == 2
-    assert json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]["seeds"] == [1000]
+    assert json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]["seeds"] == [10000]
 
 
 def test_a_folder_by_date_ends_in_the_name_whatever_it_holds(script):

@@ -1,17 +1,28 @@
 """The tree itself: what may lie where, and who may import whom."""
 
 import ast
+import importlib.util
+import re
 import subprocess
 import sys
 from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+from draccus.argparsing import ArgumentParser
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 MODULES = sorted((REPOSITORY / "dpmacro").rglob("*.py"))
 KNOW_NOBODY = ("worlds", "features", "quantising", "segmentation", "learners", "metrics", "outcomes")
 SCRIPTS = ("train", "eval", "record", "record_babyai", "annotate")
+
+STARTS = re.compile(r"cli\.run\(main, (\w+)\)")
+WITH_OPTIONS = [
+    path
+    for folder in (".", "datasets", "benchmarks")
+    for path in sorted((REPOSITORY / folder).glob("*.py"))
+    if STARTS.search(path.read_text())
+]
 
 
 def module_name(path):
@@ -76,3 +87,16 @@ def test_a_module_leaves_the_edge_to_the_scripts(path):
     if module_name(path) != "dpmacro.cli":
         assert not calls(path) & {"print", "input", "exit", "quit"}
         assert not used & {"sys.exit", "argparse", "draccus"}
+
+
+@pytest.mark.parametrize("path", WITH_OPTIONS, ids=lambda path: path.stem)
+def test_every_option_has_a_sentence(path, monkeypatch):
+    """Draccus takes a docstring of one line with one colon for the next field, and then shows neither."""
+    monkeypatch.syspath_prepend(path.parent)
+    specification = importlib.util.spec_from_file_location(f"options_of_{path.stem}", path)
+    script = importlib.util.module_from_spec(specification)
+    monkeypatch.setitem(sys.modules, specification.name, script)  # dataclasses look their module up
+    specification.loader.exec_module(script)
+    options = getattr(script, STARTS.search(path.read_text())[1])
+    told = {action.option_strings[0]: action.help for action in ArgumentParser(options).parser._actions}
+    assert "--config_path" in told and not [name for name, text in told.items() if not (text or "").strip()]
