@@ -19,7 +19,7 @@ from tqdm import tqdm
 from dpmacro import cli
 from dpmacro.choosing import Choice
 from dpmacro.demonstrations import Demonstrations
-from dpmacro.metrics import boundary_offsets, frame_accuracy
+from dpmacro.metrics import boundary_counts, frame_accuracy
 from dpmacro.options import TrainOptions
 from dpmacro.outcomes import wilson_interval
 from dpmacro.runs import RunFolder
@@ -27,6 +27,8 @@ from dpmacro.training import Trainer, TrainingResult
 
 if TYPE_CHECKING:
     from dpmacro.dagger import Iteration
+
+TOLERANCE = 10  # frames by which a found change point may miss a true one
 
 
 def main(options: TrainOptions) -> None:
@@ -110,12 +112,11 @@ def truth_report(labels: np.ndarray, demonstrations: Demonstrations) -> str:
     """The segmentation against the truth that the dataset records, which training never sees."""
     truth = demonstrations.truth
     assert truth is not None, "the caller checked it"
-    found = boundary_offsets(labels, truth, demonstrations.lengths)
-    near = int((found.offsets <= 10).sum())
+    hits, found, true = boundary_counts(labels, truth, demonstrations.lengths, TOLERANCE)
     name = f"true {demonstrations.truth_name}"
     return (
-        f"{name:<12} {frame_accuracy(labels, truth):.1%} of frames agree; "
-        f"change point within 10 frames in {near} of {found.trajectories} demonstrations"
+        f"{name:<12} {frame_accuracy(labels, truth):.1%} of frames agree; {hits} of {true} change points "
+        f"found within {TOLERANCE} frames, {found} made"
     )
 
 

@@ -4,7 +4,7 @@ Labels and truth are any integers, one per frame, trajectories concatenated; `le
 No score depends on what the integers are, only on which frames share one.
 """
 
-from dpmacro.metrics.boundaries import BoundaryOffsets, boundary_offsets, boundary_scores, matched_boundaries
+from dpmacro.metrics.boundaries import Boundaries, boundary_counts, boundary_scores, matched_boundaries
 from dpmacro.metrics.chance import random_cuts_like, uniform_cuts
 from dpmacro.metrics.frames import (
     Matching,
@@ -17,11 +17,11 @@ from dpmacro.metrics.scores import SegmentationScores, segmentation_scores
 from dpmacro.metrics.segments import edit_score, overlap_f1, segments, transitions
 
 __all__ = [
-    "BoundaryOffsets",
+    "Boundaries",
     "Matching",
     "SegmentationScores",
     "adjusted_rand_index",
-    "boundary_offsets",
+    "boundary_counts",
     "boundary_scores",
     "edit_score",
     "frame_accuracy",

@@ -1,6 +1,6 @@
 """Change points found against true ones. The ends of a trajectory are none."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int
@@ -9,34 +9,31 @@ from dpmacro.metrics.frames import check_same_frames
 from dpmacro.metrics.segments import transitions
 
 
-@dataclass(frozen=True)
-class BoundaryOffsets:
-    """How far found change points lie from true ones, in frames.
+class Boundaries(NamedTuple):
+    """Change points of all trajectories together, as `boundary_counts` has them."""
 
-    Attributes:
-        offsets: |found - true| of every trajectory in which both have exactly one, in their order.
-        trajectories: how many trajectories there were.
-    """
-
-    offsets: Int[np.ndarray, " compared"]
-    trajectories: int
-
-    @property
-    def median(self) -> float:
-        """Median offset in frames, NaN where nothing could be compared."""
-        return float(np.median(self.offsets)) if self.offsets.size else float("nan")
+    hits: int
+    found: int
+    true: int
 
 
-def boundary_offsets(
+def boundary_counts(
     labels: Int[np.ndarray, " frames"],
     truth: Int[np.ndarray, " _frames"],
     lengths: Int[np.ndarray, " trajectories"],
-) -> BoundaryOffsets:
-    """Distance of found from true change points where both have exactly one; see `transitions`."""
+    tolerance: int,
+) -> Boundaries:
+    """How many change points were found, how many are true, and how many of them are the same.
+
+    Hits are those of `matched_boundaries` within a trajectory, `tolerance` frames apart at most (inclusive).
+
+    Raises:
+        ValueError: a negative tolerance, no frames, not one label per true one, lengths that do not add up.
+    """
     check_same_frames(labels, truth)
-    both = zip(transitions(labels, lengths), transitions(truth, lengths), strict=True)
-    offsets = [abs(int(found[0]) - int(true[0])) for found, true in both if len(found) == len(true) == 1]
-    return BoundaryOffsets(np.array(offsets, np.int64), len(lengths))
+    found, true = transitions(labels, lengths), transitions(truth, lengths)
+    hits = sum(matched_boundaries(*both, tolerance) for both in zip(found, true, strict=True))
+    return Boundaries(hits, sum(map(len, found)), sum(map(len, true)))
 
 
 def boundary_scores(
@@ -45,22 +42,15 @@ def boundary_scores(
     lengths: Int[np.ndarray, " trajectories"],
     tolerance: int,
 ) -> tuple[float, float, float]:
-    """Precision, recall and F1 of change points in 0..1, within `tolerance` frames (inclusive).
+    """Precision, recall and F1 of change points in 0..1, of `boundary_counts` and with its errors.
 
-    Hits are those of `matched_boundaries` within a trajectory; hits, found and true change points are
-    pooled over trajectories. With none found and none true all three are 1; with none on one side only
-    all three are 0, as mir_eval has it.
-
-    Raises:
-        ValueError: a negative tolerance, no frames, not one label per true one, lengths that do not add up.
+    With none found and none true all three are 1; with none on one side only all three are 0, as mir_eval
+    has it.
     """
-    check_same_frames(labels, truth)
-    found, true = transitions(labels, lengths), transitions(truth, lengths)
-    hits = sum(matched_boundaries(*both, tolerance) for both in zip(found, true, strict=True))
-    n_found, n_true = sum(map(len, found)), sum(map(len, true))
-    if n_found == n_true == 0:
+    hits, found, true = boundary_counts(labels, truth, lengths, tolerance)
+    if found == true == 0:
         return 1.0, 1.0, 1.0
-    return hits / max(n_found, 1), hits / max(n_true, 1), 2 * hits / (n_found + n_true)
+    return hits / max(found, 1), hits / max(true, 1), 2 * hits / (found + true)
 
 
 def matched_boundaries(
