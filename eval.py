@@ -15,7 +15,7 @@ import json
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, make_dataclass
 from datetime import datetime
 from multiprocessing import parent_process
 from pathlib import Path
@@ -40,6 +40,10 @@ else:
 WORLD = "TwoFlags-v0"
 
 VIDEO_EVERY = 4
+
+FOR_TRAINING = ("--dataset.mirror", "--dataset.image_size=")
+FOR_RUNS = ("--world.", "--episodes=", "--workers=", "--videos=", "--policy.recovery=")
+FOR_SEGMENTATIONS = ("--dataset.", "--tolerance=")
 
 # The world's own options, each None unless given, so that those a policy was trained with stay.
 if TYPE_CHECKING:
@@ -104,12 +108,14 @@ class EvalOptions:
                 )
             if self.dataset.root is None:
                 raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
-            if self.dataset.mirror:
-                raise ValueError("--dataset.mirror is for training: leave it out with --segmentation")
-        elif self.dataset.root is not None:
-            raise ValueError(f"--dataset.root={self.dataset.root} is for --segmentation: give that, too")
+            _refuse(self, FOR_TRAINING, "is for training: leave it out with --segmentation")
+            _refuse(self, FOR_RUNS, "is for runs: leave it out with --segmentation")
+        else:
+            _refuse(self, FOR_SEGMENTATIONS, "is for --segmentation: give that, too")
         if (self.policy.path is None) == (self.policy.type is None):
             raise ValueError("give either --policy.path=<a run's pretrained_model> or --policy.type=teacher")
+        if self.policy.type is not None:
+            _refuse(self, ("--policy.recovery=",), "is for saved policies: a teacher has none to do without")
         if self.policy.type not in (None, "teacher"):
             raise ValueError(
                 f"--policy.type={self.policy.type} is unknown: choose teacher or give a --policy.path"
@@ -117,6 +123,23 @@ class EvalOptions:
         for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0), ("tolerance", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"--{name}={getattr(self, name)}: it must be at least {least}")
+
+
+def _refuse(options: EvalOptions, starts: tuple[str, ...], why: str) -> None:
+    """Raise ValueError for the first option that begins like one of these and is not its default."""
+    for option in _changed(options, "--"):
+        if option.startswith(starts):
+            raise ValueError(f"{option} {why}")
+
+
+def _changed(options: Any, prefix: str) -> Iterator[str]:
+    """Every option that is not its default, as it may have been written."""
+    for option in fields(options):
+        value, name = getattr(options, option.name), f"{prefix}{option.name}"
+        if is_dataclass(value):
+            yield from _changed(value, f"{name}.")
+        elif value != option.default:
+            yield f"{name}={value}"
 
 
 def main(options: EvalOptions) -> None:
@@ -191,6 +214,7 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
 def show_segmentation(options: EvalOptions) -> None:
     """Cut demonstrations with a policy; print how that agrees with the truth, and write a report."""
     from dpmacro.annotation import annotate
+    from dpmacro.decoding import Sight
     from dpmacro.demonstrations import Demonstrations
     from dpmacro.findings import Findings
     from dpmacro.gallery import picture_count, pictures
@@ -203,7 +227,9 @@ def show_segmentation(options: EvalOptions) -> None:
     if (output_dir / SUMMARY).exists():
         raise ValueError(f"{output_dir} already holds a {SUMMARY}: give another --output_dir")
     policy = MacroPolicy.load(path)
-    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth)
+    shrunk = policy.config.stored_shape is not None
+    sight = Sight(policy.config.image_shape[::-1] if shrunk else None)
+    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth, sight)
     findings = Findings(
         policy,
         demonstrations,

@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from dpmacro import cli
 from dpmacro.choosing import Choice
+from dpmacro.decoding import Sight
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.metrics import boundary_counts, frame_accuracy
 from dpmacro.options import TrainOptions
@@ -36,7 +37,8 @@ def main(options: TrainOptions) -> None:
     folder = RunFolder(options.output_dir) if options.output_dir else RunFolder.dated(job_name)
     dataset = options.dataset
     assert dataset.root is not None, "the options checked it"
-    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth)
+    sight = Sight(dataset.image_size, options.planner.memory_limit)
+    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth, sight)
     if dataset.mirror:
         demonstrations = demonstrations.mirrored(dataset.mirror_actions)
     started = time.perf_counter()

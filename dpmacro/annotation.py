@@ -43,10 +43,11 @@ def annotate(
 
     Args:
         policy: from a training run.
-        demonstrations: with as many actions as the policy has, and its image size.
+        demonstrations: with the policy's actions and image size.
         max_transitions: S; by default the one that the policy was trained with.
 
-    Raises ValueError where image size or number of actions are not those of the policy.
+    Raises ValueError where image size or actions are not those of the policy. Actions without names are its
+    first ones.
     """
     config = policy.config
     if tuple(demonstrations.images.shape[1:3]) != config.image_shape:
@@ -55,7 +56,7 @@ def annotate(
         raise ValueError(
             f"{demonstrations.root} has images of {height}x{width}: the policy was trained on {wanted}"
         )
-    if len(demonstrations.action_names) != len(config.action_names):
+    if not _same_actions(demonstrations.action_names, config.action_names):
         raise ValueError(
             f"{demonstrations.root} has the actions {', '.join(demonstrations.action_names)}: the policy "
             f"knows {', '.join(config.action_names)}"
@@ -69,6 +70,14 @@ def annotate(
     sure = margins(costs, lengths, max_transitions, found.labels, changing)
     confidence = -torch.expm1(-sure.clamp(min=0)).float()
     return Annotation(found.labels.cpu(), confidence.cpu(), found.cost_by_bound.cpu())
+
+
+def _same_actions(names: tuple[str, ...], known: tuple[str, ...]) -> bool:
+    """Whether actions 0..M-1 of these names are those of a policy."""
+    numbers = tuple(map(str, range(max(len(names), len(known)))))
+    if names == numbers[: len(names)]:
+        return len(names) <= len(known)
+    return names == known or (known == numbers[: len(known)] and len(names) == len(known))
 
 
 @torch.inference_mode()

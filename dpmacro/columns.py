@@ -13,13 +13,13 @@ import torch
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
+from dpmacro.decoding import GIB
 from dpmacro.features import FeatureSet, frames_before
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.quantising import Quantiser
 
 __all__ = ["Demand", "Plan", "prepare", "with_mirror_images"]
 
-GIB = 2**30
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
 VALUES = 2**26  # integers that are quantised at a time
 SAMPLED = 20_000  # frames that choose the cuts, evenly spaced, where there are more
@@ -91,7 +91,8 @@ class Plan:
         least = min(LEAST_COLUMNS, n_columns)
         if most(least, least) > limit:
             raise ValueError(
-                f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at least"
+                f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at "
+                "least: give that, shrink images, like --dataset.image_size=[128,96], or take fewer episodes"
             )
         room = limit * GIB - fixed
         kept = (

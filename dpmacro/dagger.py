@@ -19,6 +19,7 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from dpmacro.annotation import annotate
+from dpmacro.decoding import Sight
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.gathering import Visit, gather
 from dpmacro.options import DaggerOptions, TrainOptions
@@ -123,7 +124,8 @@ def _gathered(
         for visit in bar:
             _add(writer, visit)
             agreed.append(visit.agreed[~visit.taught])
-    stored = Demonstrations.load(root)
+    height, width = demonstrations.images.shape[1:3]
+    stored = Demonstrations.load(root, sight=Sight((width, height)))
     new = range(len(stored.lengths) - dagger.episodes, len(stored.lengths))
     return stored.select(new), float(np.concatenate(agreed).mean())
 

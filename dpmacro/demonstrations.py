@@ -10,10 +10,12 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Int64, UInt8
 
-from dpmacro.decoding import DatasetError, decode_images
+from dpmacro.decoding import DatasetError, Sight, decode_images
 from dpmacro.lerobot_v3 import StoredDataset
 
 __all__ = ["DatasetError", "Demonstrations"]
+
+AS_STORED = Sight()
 
 _SIDES = re.compile("left|right", re.IGNORECASE)
 _OTHER_SIDE = {"left": "right", "right": "left"}
@@ -35,6 +37,7 @@ class Demonstrations:
         mirror_images: so many trajectories at the end are mirror images of as many at the start.
         truth_name: the column that `truth` comes from, "phase" or "subgoal" say; None without truth.
         truth_classes: names of the true labels 0..K-1; the numbers as text where the data names none.
+        stored_shape: height and width of the images before they were shrunk; None where they were not.
     """
 
     images: UInt8[np.ndarray, "frames height width 3"]
@@ -48,6 +51,7 @@ class Demonstrations:
     mirror_images: int = 0
     truth_name: str | None = None
     truth_classes: tuple[str, ...] = ()
+    stored_shape: tuple[int, int] | None = None
 
     @classmethod
     def load(
@@ -56,14 +60,15 @@ class Demonstrations:
         episodes: Sequence[int] | None = None,
         camera: str | None = None,
         truth: str | None = None,
+        sight: Sight = AS_STORED,
     ) -> "Demonstrations":
         """Reads a LeRobot v3 dataset with discrete actions, without touching the network.
 
-        Actions are `discrete_action` where there is one, else `action`: whole numbers, or one-hot vectors.
-        `episodes` chooses some, in the order given; `camera` names the image feature where there are several
-        (it may stay None where exactly one of them is stored as images rather than video); `truth` names the
-        integer column of true labels; by default the first that was recorded as such, else `phase` or
-        `subgoal`, where there is one.
+        Actions are `discrete_action` where there is one, else `action`: whole numbers of any type, or
+        one-hot vectors. `episodes` chooses some, in the order given; `camera` names the image feature where
+        there are several (it may stay None where exactly one of them is stored as images rather than video);
+        `truth` names the integer column of true labels, "none" for no truth; by default it is the first that
+        was recorded as such, else `phase` or `subgoal`, where there is one. `sight` says how images are held.
 
         Raises DatasetError, one line that names folder, value and remedy, for anything it cannot read as
         demonstrations of at least two frames each.
@@ -86,10 +91,10 @@ class Demonstrations:
         actions, action_names = _discrete_actions(store, columns)
         labels, classes = (None, ()) if truth is None else _true_labels(store, truth, columns[truth])
         if stored_as_image:
-            images = decode_images(columns.pop(camera), f"dataset {root}, {camera}")
+            images, stored = decode_images(columns.pop(camera), f"dataset {root}, {camera}", sight)
             pa.default_memory_pool().release_unused()  # the encoded ones: Arrow would keep their memory
         else:
-            images = store.video(camera, chosen)
+            images, stored = store.video(camera, chosen, sight)
         return cls(
             images=images,
             actions=actions,
@@ -101,6 +106,7 @@ class Demonstrations:
             root=root,
             truth_name=truth,
             truth_classes=classes,
+            stored_shape=stored if stored != images.shape[1:3] else None,
         )
 
     @property
@@ -230,6 +236,8 @@ def _choose_truth(store: StoredDataset, truth: str | None) -> str | None:
     ]
     if truth is None:
         return next((name for name in (*store.truth, "phase", "subgoal") if name in whole), None)
+    if truth == "none":
+        return None
     if truth not in whole:
         raise DatasetError(
             f"dataset {store.root}: no integer column {truth!r} to be the truth; it has {', '.join(whole)}"
@@ -246,7 +254,7 @@ def _true_labels(
         frame = int((labels < 0).argmax())
         raise DatasetError(
             f"dataset {store.root}: {truth} {labels[frame]} of frame {frame} is negative; "
-            "name another column as truth"
+            "name another column as truth, or none"
         )
     named = tuple(store.truth.get(truth, ()))
     largest = max(int(labels.max()), -1 if named else store.largest(truth))
@@ -262,10 +270,9 @@ def _discrete_actions(
     if name not in columns:
         raise DatasetError(f"{where}: has no action feature; dpmacro learns from actions")
     actions, vectors = columns[name], columns.get("action")
-    if actions.ndim == 2:
+    if actions.ndim == 2 and actions.shape[1] > 1:
         return _from_one_hot(actions, where), _names(store.features[name], actions.shape[1])
-    if not np.issubdtype(actions.dtype, np.integer):
-        raise DatasetError(f"{where}: continuous actions (first {actions[0]:g}); dpmacro needs discrete ones")
+    actions = _whole(actions.reshape(-1), f"{where}: {name}")
     if vectors is not None and vectors.ndim == 2 and np.isin(vectors, (0, 1)).all():
         names = _names(store.features["action"], vectors.shape[1])
     else:  # numbers without names: the statistics know actions that the chosen episodes lack
@@ -277,7 +284,18 @@ def _discrete_actions(
         raise DatasetError(
             f"{where}: {name} {actions[frame]} of frame {frame} is outside 0..{len(names) - 1}"
         )
-    return actions.astype(np.int64), names
+    return actions, names
+
+
+def _whole(values: np.ndarray, what: str) -> Int64[np.ndarray, " frames"]:
+    """Whole numbers, whatever their type."""
+    if values.dtype.kind not in "biuf":
+        raise DatasetError(
+            f"{what} is of type {values.dtype} (first {values[0]!r}); dpmacro needs whole numbers"
+        )
+    if values.dtype.kind == "f" and not (np.isfinite(values) & (values == np.round(values))).all():
+        raise DatasetError(f"{what}: continuous actions (first {values[0]:g}); dpmacro needs discrete ones")
+    return values.astype(np.int64)
 
 
 def _from_one_hot(vectors: np.ndarray, where: str) -> Int64[np.ndarray, " frames"]:

@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import UInt8
 
-from dpmacro.decoding import DatasetError, decode_video
+from dpmacro.decoding import DatasetError, Sight, decode_video
 
 WORLD_FILE = "meta/dpmacro.json"
 
@@ -129,12 +129,17 @@ class StoredDataset:
         }
 
     def video(
-        self, camera: str, episodes: list[dict[str, Any]]
-    ) -> UInt8[np.ndarray, "frames height width 3"]:
-        """The frames of a video feature, each file decoded once from its start."""
+        self, camera: str, episodes: list[dict[str, Any]], sight: Sight
+    ) -> tuple[UInt8[np.ndarray, "frames h w 3"], tuple[int, int]]:
+        """The frames of a video feature, each file decoded once from its start; stored height and width.
+
+        Raises DatasetError where a file lacks frames or has others of another size, and what `sight` raises.
+        """
+        where = f"dataset {self.root}, {camera}"
         starts = np.cumsum([0, *(row["length"] for row in episodes)])
         place = {row["episode_index"]: int(start) for row, start in zip(episodes, starts[:-1], strict=True)}
         images: np.ndarray | None = None
+        shape: tuple[int, ...] = ()
         for path, group in _by_file(episodes, f"videos/{camera}", self._video_file(camera)):
             wanted: dict[int, int] = {}
             for row in group:
@@ -142,14 +147,18 @@ class StoredDataset:
                 start = place[row["episode_index"]]
                 wanted |= {first + frame: start + frame for frame in range(row["length"])}
             for number, frame in decode_video(path, self.info["fps"], max(wanted)):
-                if number in wanted:
-                    if images is None:
-                        images = np.empty((int(starts[-1]), *frame.shape), np.uint8)
-                    images[wanted.pop(number)] = frame
+                if number not in wanted:
+                    continue
+                seen = sight.of(frame, where)
+                if images is None:
+                    images, shape = sight.room(int(starts[-1]), seen, where), frame.shape
+                if frame.shape != shape:
+                    raise DatasetError(f"{where}: {path.name} is {frame.shape}, others {shape}; resize it")
+                images[wanted.pop(number)] = seen
             if wanted:
                 raise DatasetError(f"dataset {self.root}: {path.name} of {camera} lacks frame {min(wanted)}")
         assert images is not None
-        return images
+        return images, (shape[0], shape[1])
 
     def _recorded(self, key: str) -> dict[str, Any]:
         path = self.root / WORLD_FILE

@@ -32,14 +32,18 @@ class DatasetOptions:
     """Episodes to use; all by default."""
     camera: str | None = None
     """Image feature to learn from, where the dataset has several."""
+    image_size: tuple[int, int] | None = None
+    """Width and height to shrink images to, like [128,96]; by default they stay as they are stored."""
     truth: str | None = None
-    """Integer column with the true macro-labels, for metrics only; by default the recorded one, if any."""
+    """Integer column with the true macro-labels, for metrics only; "none" or by default the recorded one."""
     mirror: bool = False
     """Whether to learn from the mirror image of every demonstration, too; turns left become turns right."""
     mirror_actions: list[list[int]] | None = None
     """Pairs of actions that a mirror exchanges, like [[1,2]]; by default those named left and right."""
 
     def __post_init__(self) -> None:
+        if self.image_size is not None and min(self.image_size) < 1:
+            raise ValueError(f"dataset.image_size is {list(self.image_size)}: give a width and a height")
         if self.mirror_actions is not None and not self.mirror:
             raise ValueError(
                 f"dataset.mirror_actions is {self.mirror_actions}: give --dataset.mirror=true, too"

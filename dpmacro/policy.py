@@ -15,6 +15,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from dpmacro.decoding import Sight
 from dpmacro.features import FeatureSet, features_from
 from dpmacro.files import replacing
 from dpmacro.learners import Frames, StrongClassifier
@@ -230,8 +231,11 @@ class MacroPlanner:
             self._recovery.reset()
 
     def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
-        """The action for the frame that the environment shows now."""
-        images, before = torch.from_numpy(observation["pixels"])[None], self._state.previous
+        """The action for the frame that the environment shows now, which is shrunk as demonstrations were."""
+        pixels, config = observation["pixels"], self.policy.config
+        if pixels.shape[:2] == config.stored_shape:
+            pixels = Sight(config.image_shape[::-1]).of(pixels, "the observation")
+        images, before = torch.from_numpy(pixels)[None], self._state.previous
         scores, self._state = self.policy.decide(images.to(self.policy.device), self._state)
         if self._recovery is None:
             action = int(scores[0].argmax())

@@ -27,6 +27,7 @@ class PolicyConfig:
     max_transitions: int | None = None  # S of the segmentation it was trained on; None for Q - 1
     switch_weight: float = 0.0  # of the switch functions' costs in that segmentation
     change_log_odds: tuple[tuple[float, ...], ...] = ()  # [from][to] in that segmentation; with a weight only
+    stored_shape: tuple[int, int] | None = None  # of images before they were shrunk; None where they were not
     world: dict[str, Any] = field(default_factory=dict)  # {"id": ..., **options} of the demonstrations
 
     def __post_init__(self) -> None:
@@ -38,8 +39,10 @@ class PolicyConfig:
             and all(map(math.isfinite, self.thresholds)),
             "cues": len(self.cues) in (0, len(self.switches))
             and all(0 <= action < len(self.action_names) for own in self.cues for action in own),
-            "image_shape": len(self.image_shape) == 2
-            and all(isinstance(size, int) for size in self.image_shape),
+            "image_shape and stored_shape": all(
+                len(shape) == 2 and all(isinstance(size, int) for size in shape)
+                for shape in (self.image_shape, self.stored_shape or self.image_shape)
+            ),
             "features": self.features in FEATURES,
             "max_transitions": self.max_transitions is None or self.max_transitions >= 0,
             "change_log_odds": not self.switch_weight
@@ -55,11 +58,13 @@ def read_config(path: Path) -> PolicyConfig:
     """The config that a policy was saved with. Raises ValueError naming the file where it is none."""
     try:
         values = json.loads(path.read_text())
+        stored = values.get("stored_shape")
         return PolicyConfig(
             **{
                 **values,
                 "action_names": tuple(values["action_names"]),
                 "image_shape": tuple(values["image_shape"]),
+                "stored_shape": stored and tuple(stored),
                 "switches": tuple(tuple(pair) for pair in values["switches"]),
                 "thresholds": tuple(values["thresholds"]),
                 "cues": tuple(tuple(own) for own in values.get("cues", ())),

@@ -253,6 +253,7 @@ class Trainer:
             first_macro=starting_macro(discovery.labels, self.lengths),
             action_names=demonstrations.action_names,
             image_shape=(height, width),
+            stored_shape=demonstrations.stored_shape,
             features=self.options.planner.features,
             switches=tuple(switches.pairs),
             thresholds=tuple(switches.thresholds.tolist()),

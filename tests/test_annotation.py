@@ -179,6 +179,13 @@ def test_the_default_bound_is_that_of_the_policy(trained, macros, given, bound):
     assert annotate(changed, demonstrations).cost_by_bound.shape == (3, bound + 1)
 
 
+@pytest.mark.parametrize("names", [("0", "1", "2"), ("0", "1", "2", "3")])
+def test_actions_without_names_are_the_first_of_the_policys(trained, names):
+    policy, demonstrations, _ = trained
+    alike = annotate(policy, replace(demonstrations, action_names=names))
+    assert torch.equal(alike.labels, annotate(policy, demonstrations).labels)
+
+
 def test_a_baseline_is_sure_of_its_only_label():
     demonstrations = noise_with_a_rule()
     policy, _ = train(demonstrations, macros=1, bound=0)
@@ -198,6 +205,16 @@ def test_a_baseline_is_sure_of_its_only_label():
             {"action_names": ("up", "down")},
             None,
             r"data/some has the actions up, down: the policy knows forward, left, right, never seen",
+        ),
+        (
+            {"action_names": (*NAMES[1:], NAMES[0])},
+            None,
+            r"data/some has the actions left, right, never seen, forward: the policy knows forward, ",
+        ),
+        (
+            {"action_names": ("0", "1", "2", "3", "4")},
+            None,
+            r"data/some has the actions 0, 1, 2, 3, 4: the policy knows forward",
         ),
         ({}, -1, "max_transitions is -1"),
     ],

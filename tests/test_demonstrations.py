@@ -5,12 +5,14 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from noise import ACTIONS, LENGTHS, WORLD, random_episodes
 
+from dpmacro.decoding import Sight
 from dpmacro.demonstrations import DatasetError, Demonstrations
 from dpmacro.recording import AVATAR, VIEW, DemonstrationWriter
 
@@ -140,6 +142,14 @@ STORED_ACTIONS = {
     ),
     "int64": (lambda root: actions_as(root, numbers(root), "int64", 1), ("0", "1", "2")),
     "int32": (lambda root: actions_as(root, numbers(root).astype(np.int32), "int32", 1), ("0", "1", "2")),
+    "whole float32": (
+        lambda root: actions_as(root, numbers(root).astype(np.float32), "float32", 1),
+        ("0", "1", "2"),
+    ),
+    "int64 in lists of one": (
+        lambda root: actions_as(root, numbers(root)[:, None].tolist(), "int64", 1),
+        ("0", "1", "2"),
+    ),
     "discrete beside continuous": (
         lambda root: set_column(
             root, "action", np.full((30, 2), 0.5).tolist(), {"dtype": "float32", "shape": [2], "names": None}
@@ -163,6 +173,13 @@ def test_discrete_actions_are_read_however_they_are_stored(root, case):
     loaded = Demonstrations.load(root)
     assert np.array_equal(loaded.actions, expected()["actions"])
     assert loaded.action_names == names
+
+
+def test_actions_may_be_yes_and_no(root):
+    actions_as(root, expected()["actions"] == 1, "bool", 1)
+    loaded = Demonstrations.load(root)
+    assert np.array_equal(loaded.actions, expected()["actions"] == 1)
+    assert loaded.action_names == ("0", "1")
 
 
 def test_names_of_numbers_do_not_depend_on_the_episodes_chosen(root):
@@ -242,9 +259,17 @@ def test_labels_beyond_the_named_classes_are_numbers(root):
     assert Demonstrations.load(root).truth_classes == ("before blue", "after blue", "2", "3")
 
 
+def test_a_dataset_may_do_without_its_truth(root):
+    set_column(root, "phase", [-1] * 30)
+    loaded = Demonstrations.load(root, truth="none")
+    assert (loaded.truth, loaded.truth_name, loaded.truth_classes) == (None, None, ())
+
+
 def test_negative_labels_are_refused(root):
     set_column(root, "skill", [0] * 7 + [-1] * 23, WHOLE)
-    with pytest.raises(DatasetError, match=r"skill -1 of frame 7 is negative; name another column as truth"):
+    with pytest.raises(
+        DatasetError, match=r"skill -1 of frame 7 is negative; name another column as truth, or none"
+    ):
         Demonstrations.load(root, truth="skill")
 
 
@@ -258,6 +283,32 @@ def test_the_lossless_camera_is_preferred_and_video_can_be_named(two_cameras):
     later = Demonstrations.load(two_cameras, episodes=[1, 0], camera=VIEW)
     assert np.array_equal(later.images[:6], video.images[8:])
     assert np.array_equal(later.images[6:], video.images[:8])
+
+
+@pytest.mark.parametrize("camera", [AVATAR, VIEW])
+@pytest.mark.parametrize("size", [(16, 12), (7, 24), (1, 1)])
+def test_images_are_shrunk_while_they_are_read(two_cameras, camera, size):
+    stored = Demonstrations.load(two_cameras, camera=camera)
+    shrunk = Demonstrations.load(two_cameras, camera=camera, sight=Sight(size))
+    wanted = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in stored.images]
+    assert np.array_equal(shrunk.images, wanted)
+    assert (stored.stored_shape, shrunk.stored_shape) == (None, stored.images.shape[1:3])
+    assert shrunk.select([1]).stored_shape == stored.images.shape[1:3]
+
+
+def test_a_size_that_is_the_stored_one_changes_nothing(recorded):
+    same = Demonstrations.load(recorded, sight=Sight((64, 48)))
+    assert same.stored_shape is None and np.array_equal(same.images, expected()["images"])
+
+
+@pytest.mark.parametrize("camera", [AVATAR, VIEW])
+def test_images_that_cannot_be_held_as_asked_are_refused(two_cameras, camera):
+    with pytest.raises(DatasetError, match=rf"{camera}: images are .*, image_size is \[999, 12\]: ask for"):
+        Demonstrations.load(two_cameras, camera=camera, sight=Sight((999, 12)))
+    with pytest.raises(DatasetError, match=r"14 images of .* GiB and memory_limit is 1e-06: shrink them"):
+        Demonstrations.load(two_cameras, camera=camera, sight=Sight(memory=1e-6))
+    small = Demonstrations.load(two_cameras, camera=camera, sight=Sight((4, 4), memory=1e-6))
+    assert small.images.shape == (14, 4, 4, 3)
 
 
 def test_several_files_and_chunks(root):
@@ -345,7 +396,15 @@ SPOILED = {
     ),
     "continuous scalar": (
         lambda root: actions_as(root, [0.25] * 30, "float32", 1),
-        r"continuous actions \(first 0\.25\)",
+        r"action: continuous actions \(first 0\.25\)",
+    ),
+    "not a number": (
+        lambda root: actions_as(root, [0.0] * 29 + [np.nan], "float32", 1),
+        r"action: continuous actions",
+    ),
+    "words": (
+        lambda root: actions_as(root, ["go"] * 30, "string", 1),
+        r"action is of type object \(first 'go'\); dpmacro needs whole numbers",
     ),
     "PNG cut": (lambda root: spoil_image(root, 4, lambda b: b[:200]), r"image of frame 4 is damaged"),
     "PNG flipped": (

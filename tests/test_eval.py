@@ -188,6 +188,17 @@ def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
         ),
         (["--segmentation=maybe", "--policy.path=x"], "maybe"),
         (["--policy.type=teacher", "--dataset.root=y"], "--dataset.root=y is for --segmentation"),
+        (["--policy.type=teacher", "--tolerance=3"], "--tolerance=3 is for --segmentation"),
+        (["--policy.type=teacher", "--policy.recovery=false"], "recovery=False is for saved policies"),
+        *(
+            (["--segmentation", "--policy.path=x", "--dataset.root=y", option], f"{option} is for")
+            for option in (
+                "--episodes=5",
+                "--workers=2",
+                "--world.max_steps=9",
+                "--dataset.mirror=True",
+            )
+        ),
     ],
 )
 def test_bad_options_are_one_line_and_status_2(options, message, script, tmp_path, monkeypatch, capsys):

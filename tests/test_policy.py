@@ -4,6 +4,7 @@ import itertools
 import json
 from dataclasses import replace
 
+import cv2
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -190,6 +191,18 @@ def test_memory_and_two_frames_decide_what_follows():
         met += situation in followed
         assert followed.setdefault(situation, (action, planner.memory)) == (action, planner.memory)
     assert met > 200 and len({memory for _, _, memory in followed}) == 8  # macro-action and action
+
+
+def test_a_planner_shrinks_what_demonstrations_were_shrunk_from(tmp_path):
+    policy, images = random_policy()
+    policy = replace(policy, config=replace(policy.config, stored_shape=(36, 32)))
+    policy.save(tmp_path)
+    large = torch.randint(0, 256, (30, 36, 32, 3), dtype=torch.uint8)
+    shrunk = [cv2.resize(image, SHAPE[::-1], interpolation=cv2.INTER_AREA) for image in large.numpy()]
+    loaded = MacroPolicy.load(tmp_path)
+    assert loaded.config == policy.config
+    assert run(loaded, large) == run(loaded, torch.from_numpy(np.stack(shrunk)))
+    assert run(loaded, images) == run(policy, images)
 
 
 def test_an_image_of_another_size_is_refused():

@@ -1,5 +1,6 @@
 """train.py: from a dataset to a run folder, and one line for every mistake."""
 
+import importlib
 import json
 import re
 import subprocess
@@ -258,6 +259,24 @@ def test_networks_mirror_images_and_need_no_mirrored_columns(recorded, tmp_path,
     assert {learner.n_frames for learner in held} == {2 * frames}
 
 
+def test_shrunk_images_from_training_to_runs(recorded, tmp_path, monkeypatch, capsys):
+    size = ["--dataset.image_size=[32,24]", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *size)
+    path = tmp_path / "run/checkpoints/last/pretrained_model"
+    config = MacroPolicy.load(path).config
+    assert (config.image_shape, config.stored_shape) == ((24, 32), (48, 64))
+    script = importlib.import_module("eval")
+    for options in (
+        ["--segmentation", f"--dataset.root={recorded}"],
+        ["--episodes=1", "--world.max_steps=9"],
+    ):
+        output = tmp_path / options[0].strip("-")
+        monkeypatch.setattr(sys, "argv", ["", f"--policy.path={path}", *options, f"--output_dir={output}"])
+        cli.run(script.main, script.EvalOptions)
+    assert json.loads((tmp_path / "segmentation/segmentation.json").read_text())["scores"]
+    assert json.loads((tmp_path / "episodes=1/eval_info.json").read_text())["dpmacro"]["steps"] == [9]
+
+
 def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monkeypatch):
     options = ["--dataset.mirror=true", *SMALL]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
@@ -268,6 +287,14 @@ def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monke
 MISTAKES = {
     "no root": ([], "give --dataset.root="),
     "missing dataset": (["--dataset.root={tmp}/nowhere"], "nowhere"),
+    "no size": (
+        ["--dataset.root={data}", "--dataset.image_size=[0,9]"],
+        r"dataset\.image_size is \[0, 9\]: give",
+    ),
+    "too large a size": (
+        ["--dataset.root={data}", "--dataset.image_size=[64,49]"],
+        r"images are 64x48, image_size is \[64, 49\]: ask for smaller ones",
+    ),
     "missing truth": (["--dataset.root={data}", "--dataset.truth=skill"], "no integer column 'skill'"),
     "missing episode": (["--dataset.root={data}", "--dataset.episodes=[7]"], "7"),
     "unknown option": (["--dataset.root={data}", "--planner.macro=2"], r"did you mean --planner\.macros\?"),
