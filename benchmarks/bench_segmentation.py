@@ -143,7 +143,7 @@ def main(options: BenchOptions) -> None:
         print("\n".join(table([row for key in wanted for row in rows.get(key, [])])))
         print(NOTES)
         for method, module in missing.items():
-            print(f"skipped {method}: no module {module}; pip install 'dpmacro[bench]' brings every peer")
+            print(f"skipped {method}: no module {module}; pip install -e '.[bench]' brings every peer")
         print(f"rows     {options.rows}")
 
 

@@ -68,7 +68,7 @@ class DPBoost:
         max_transitions: S >= 0, the bound in every trajectory; None for Q - 1.
         rounds: boosting rounds of the exact fit.
         learner: makes the weak learner of the exact fit from sorted levels; stumps discover and judge.
-        restarts: initial segmentations, the first half from feature peaks, the rest random cuts.
+        restarts: initial segmentations (dpmacro/initial.py).
         seed: of every draw.
         device: where tensors live.
         shrinkage: factor in (0, 1] on every weak hypothesis.

@@ -176,7 +176,7 @@ def test_a_run_is_written_and_a_missing_peer_skipped(tmp_path):
         PYTHONPATH=str(tmp_path),
     )
     assert done.returncode == 0, done.stderr
-    assert "skipped KernelCPD: no module ruptures; pip install 'dpmacro[bench]'" in done.stdout
+    assert "skipped KernelCPD: no module ruptures; pip install -e '.[bench]'" in done.stdout
     rows = json.loads((tmp_path / "made/rows_quick.json").read_text())
     assert {(row["method"], row["seed"]) for row in rows} == {
         (method, seed) for method in ("uniform cuts", "random cuts") for seed in (0, 1)

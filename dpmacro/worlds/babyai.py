@@ -97,7 +97,7 @@ def check_level(level: str) -> None:
     try:
         import minigrid  # noqa: F401  registers the levels
     except ImportError as error:
-        raise ValueError("BabyAI needs the package minigrid: pip install 'dpmacro[babyai]'") from error
+        raise ValueError("BabyAI needs the package minigrid: pip install -e '.[babyai]'") from error
     if not level.startswith("BabyAI-") or level not in gym.registry:
         raise ValueError(f"level is {level!r}: give the id of a BabyAI level, like {', '.join(LEVELS)}")
 
