@@ -101,6 +101,7 @@ class EvalOptions:
     """Name of the evaluation; by default that of what runs."""
 
     def __post_init__(self) -> None:
+        _refuse(self, FOR_TRAINING, "is for train.py: leave it out")
         if self.segmentation:
             if self.policy.path is None or self.policy.type is not None:
                 raise ValueError(
@@ -108,18 +109,17 @@ class EvalOptions:
                 )
             if self.dataset.root is None:
                 raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
-            _refuse(self, FOR_TRAINING, "is for training: leave it out with --segmentation")
             _refuse(self, FOR_RUNS, "is for runs: leave it out with --segmentation")
         else:
             _refuse(self, FOR_SEGMENTATIONS, "is for --segmentation: give that, too")
         if (self.policy.path is None) == (self.policy.type is None):
             raise ValueError("give either --policy.path=<a run's pretrained_model> or --policy.type=teacher")
-        if self.policy.type is not None:
-            _refuse(self, ("--policy.recovery=",), "is for saved policies: a teacher has none to do without")
         if self.policy.type not in (None, "teacher"):
             raise ValueError(
                 f"--policy.type={self.policy.type} is unknown: choose teacher or give a --policy.path"
             )
+        if self.policy.type is not None:
+            _refuse(self, ("--policy.recovery=",), "is for saved policies: a teacher has none to do without")
         for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0), ("tolerance", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"--{name}={getattr(self, name)}: it must be at least {least}")
@@ -214,7 +214,6 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
 def show_segmentation(options: EvalOptions) -> None:
     """Cut demonstrations with a policy; print how that agrees with the truth, and write a report."""
     from dpmacro.annotation import annotate
-    from dpmacro.decoding import Sight
     from dpmacro.demonstrations import Demonstrations
     from dpmacro.findings import Findings
     from dpmacro.gallery import picture_count, pictures
@@ -227,9 +226,9 @@ def show_segmentation(options: EvalOptions) -> None:
     if (output_dir / SUMMARY).exists():
         raise ValueError(f"{output_dir} already holds a {SUMMARY}: give another --output_dir")
     policy = MacroPolicy.load(path)
-    shrunk = policy.config.stored_shape is not None
-    sight = Sight(policy.config.image_shape[::-1] if shrunk else None)
-    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth, sight)
+    demonstrations = Demonstrations.load(
+        dataset.root, dataset.episodes, dataset.camera, dataset.truth, policy.config.sight
+    )
     findings = Findings(
         policy,
         demonstrations,

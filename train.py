@@ -1,8 +1,8 @@
 """Train a planner from demonstrations.
 
-    python train.py --dataset.root=datasets/two_flags_random --planner.type=dpboost --planner.macros=2
-    python train.py --dataset.root=datasets/two_flags_random --planner.type=baseline
-    python train.py --dataset.root=datasets/two_flags_random --dagger.iterations=5
+    python train.py --dataset.root=datasets/two_flags --planner.type=dpboost --planner.macros=2
+    python train.py --dataset.root=datasets/two_flags --planner.type=baseline
+    python train.py --dataset.root=datasets/two_flags --dagger.iterations=5
 
 Finds macro-actions, fits a strong classifier to each and switch functions between them, and saves a policy
 for eval.py in `<output_dir>/checkpoints/last/pretrained_model`, pictures and TensorBoard events beside it.
@@ -18,12 +18,12 @@ from tqdm import tqdm
 
 from dpmacro import cli
 from dpmacro.choosing import Choice
-from dpmacro.decoding import Sight
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.metrics import boundary_counts, frame_accuracy
 from dpmacro.options import TrainOptions
 from dpmacro.outcomes import wilson_interval
 from dpmacro.runs import RunFolder
+from dpmacro.sight import Sight
 from dpmacro.training import Trainer, TrainingResult
 
 if TYPE_CHECKING:
@@ -37,7 +37,9 @@ def main(options: TrainOptions) -> None:
     folder = RunFolder(options.output_dir) if options.output_dir else RunFolder.dated(job_name)
     dataset = options.dataset
     assert dataset.root is not None, "the options checked it"
-    sight = Sight(dataset.image_size, options.planner.memory_limit)
+    # Mirroring holds them three times for a while.
+    memory = options.planner.memory_limit / (3 if dataset.mirror else 1)
+    sight = Sight(dataset.image_size, memory=memory)
     demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth, sight)
     if dataset.mirror:
         demonstrations = demonstrations.mirrored(dataset.mirror_actions)

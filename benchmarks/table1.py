@@ -188,14 +188,17 @@ def read_rows(path: Path) -> dict[Key, Row]:
         return {}
     try:
         found = json.loads(path.read_text())["rows"]
-        if any(row["planner"] not in PLANNERS or row["n"] != len(row["per_episode"]) for row in found):
-            raise ValueError("a row of something else")
+        for row in found:
+            if row["planner"] not in PLANNERS or row["n"] != len(row["per_episode"]):
+                raise ValueError(f"a row of {row['planner']} that is none")
         return {
             (r["flags"], r["planner"], r["demonstrations"], r["train_seed"], tuple(r["render_size"])): r
             for r in found
         }
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} holds no rows of this table: give another --output_dir") from error
+        raise ValueError(
+            f"{path} holds no rows of this table ({error}): give another --output_dir"
+        ) from error
 
 
 if __name__ == "__main__":

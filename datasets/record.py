@@ -1,6 +1,6 @@
 """Record a teacher's successful runs as a LeRobot dataset.
 
-python datasets/record.py --root=datasets/two_flags_random --episodes=20 --seed=0
+python datasets/record.py --root=datasets/two_flags --episodes=20 --seed=0
 """
 
 import functools

@@ -52,9 +52,9 @@ def annotate(
     config = policy.config
     if tuple(demonstrations.images.shape[1:3]) != config.image_shape:
         height, width = demonstrations.images.shape[1:3]
-        wanted = "x".join(map(str, config.image_shape))
+        wanted = "x".join(map(str, config.image_shape[::-1]))
         raise ValueError(
-            f"{demonstrations.root} has images of {height}x{width}: the policy was trained on {wanted}"
+            f"{demonstrations.root} has images of {width}x{height}: the policy was trained on {wanted}"
         )
     if not _same_actions(demonstrations.action_names, config.action_names):
         raise ValueError(

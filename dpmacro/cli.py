@@ -5,6 +5,7 @@ Options are LeRobot's own kind (draccus): ``--group.field=value`` for every fiel
 """
 
 import difflib
+import re
 import sys
 from argparse import ArgumentParser as Argparse
 from collections.abc import Callable, Sequence
@@ -23,9 +24,15 @@ Config = TypeVar("Config")
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
-BARE_LIST = "is not of a valid input for a list type"
+BARE_LIST = re.compile(r"input for a list type|Expected \d+ items|has no len\(\)")
 
-decode.register(Path, lambda value, path: Path(value).expanduser())  # a shell leaves the ~ of --root=~/x
+
+def _path(value: Any, path: Sequence[str] = ()) -> Path:
+    """A path, also one that reads like a number or a date; a shell leaves the ~ of --root=~/x to us."""
+    return Path(str(value)).expanduser()
+
+
+decode.register(Path, _path)
 
 
 def parse(config_class: type[Config], arguments: Sequence[str] | None = None) -> Config:
@@ -35,6 +42,7 @@ def parse(config_class: type[Config], arguments: Sequence[str] | None = None) ->
     dataclass itself refuses.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    arguments = [re.sub("^--config_path=~(?=/|$)", f"--config_path={Path.home()}", one) for one in arguments]
     parser: ArgumentParser = ArgumentParser(config_class, allow_abbrev=False)
 
     def fail(message: str) -> NoReturn:
@@ -75,7 +83,7 @@ def _check_readable(arguments: Sequence[str]) -> None:
         value = argument.partition("=")[2] if argument.startswith("--") else argument
         try:
             cfgparsing.parse_string(value)
-        except YAMLError as error:
+        except (YAMLError, ValueError) as error:  # ValueError: a day that no month has
             raise ValueError(
                 f"{argument} cannot be read ({_problem(error)}): close brackets and quotes, and put a text "
                 "with special characters into quotes of its own"
@@ -105,7 +113,7 @@ def _problem(error: Exception) -> str:
 
 def _root_message(error: BaseException) -> str:
     """The message of the ValueError that a dataclass raised, where draccus wrapped one up."""
-    if BARE_LIST in str(error):
+    if BARE_LIST.search(str(error)):
         return f"{str(error).strip()}; write it in brackets, like '[0,1,2]'"
     cause: BaseException | None = None if isinstance(error, DecodingError) else error
     while cause is not None:

@@ -13,10 +13,10 @@ import torch
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
-from dpmacro.decoding import GIB
 from dpmacro.features import FeatureSet, frames_before
 from dpmacro.learners.sorting import SortedLevels
 from dpmacro.quantising import Quantiser
+from dpmacro.sight import GIB
 
 __all__ = ["Demand", "Plan", "prepare", "with_mirror_images"]
 
@@ -92,7 +92,7 @@ class Plan:
         if most(least, least) > limit:
             raise ValueError(
                 f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at "
-                "least: give that, shrink images, like --dataset.image_size=[128,96], or take fewer episodes"
+                "least: give that, shrink images by --dataset.image_size, or take fewer --dataset.episodes"
             )
         room = limit * GIB - fixed
         kept = (

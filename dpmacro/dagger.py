@@ -19,13 +19,13 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from dpmacro.annotation import annotate
-from dpmacro.decoding import Sight
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.gathering import Visit, gather
 from dpmacro.options import DaggerOptions, TrainOptions
 from dpmacro.recording import PHASES, DemonstrationWriter
 from dpmacro.rollouts import PlannerSource, iter_episodes
 from dpmacro.runs import RunFolder
+from dpmacro.sight import Sight
 from dpmacro.training import Trainer, TrainingResult, plain_options
 
 __all__ = ["DRIVERS", "Iteration", "aggregate"]

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from jaxtyping import Int64, UInt8
 
-from dpmacro.decoding import DatasetError, Sight, decode_images
 from dpmacro.lerobot_v3 import StoredDataset
+from dpmacro.sight import DatasetError, Gallery, Sight
 
 __all__ = ["DatasetError", "Demonstrations"]
 
+LARGEST_ACTION = 2**16  # a policy holds fewer, and larger numbers are of something else
 AS_STORED = Sight()
 
 _SIDES = re.compile("left|right", re.IGNORECASE)
@@ -83,20 +83,16 @@ class Demonstrations:
                     "dpmacro needs at least two frames per episode"
                 )
         camera = _choose_camera(store, camera)
-        stored_as_image = store.features[camera]["dtype"] == "image"
         truth = _choose_truth(store, truth)
         wanted = dict.fromkeys(("action", "discrete_action", truth))
         names = [name for name in wanted if name is not None and name in store.features]
-        columns = store.columns([*names, camera] if stored_as_image else names, chosen)
+        columns = store.columns(names, chosen)
         actions, action_names = _discrete_actions(store, columns)
         labels, classes = (None, ()) if truth is None else _true_labels(store, truth, columns[truth])
-        if stored_as_image:
-            images, stored = decode_images(columns.pop(camera), f"dataset {root}, {camera}", sight)
-            pa.default_memory_pool().release_unused()  # the encoded ones: Arrow would keep their memory
-        else:
-            images, stored = store.video(camera, chosen, sight)
+        gallery = Gallery(len(actions), sight, f"dataset {root}, {camera}")
+        store.fill(gallery, camera, chosen)
         return cls(
-            images=images,
+            images=gallery.images,
             actions=actions,
             lengths=np.array([row["length"] for row in chosen], np.int64),
             action_names=action_names,
@@ -106,7 +102,7 @@ class Demonstrations:
             root=root,
             truth_name=truth,
             truth_classes=classes,
-            stored_shape=stored if stored != images.shape[1:3] else None,
+            stored_shape=gallery.stored_shape,
         )
 
     @property
@@ -273,10 +269,12 @@ def _discrete_actions(
     if actions.ndim == 2 and actions.shape[1] > 1:
         return _from_one_hot(actions, where), _names(store.features[name], actions.shape[1])
     actions = _whole(actions.reshape(-1), f"{where}: {name}")
-    if vectors is not None and vectors.ndim == 2 and np.isin(vectors, (0, 1)).all():
+    if vectors is not None and vectors.ndim == 2 and vectors.shape[1] > 1 and np.isin(vectors, (0, 1)).all():
         names = _names(store.features["action"], vectors.shape[1])
     else:  # numbers without names: the statistics know actions that the chosen episodes lack
         largest = max(int(actions.max()), store.largest(name))
+        if largest > LARGEST_ACTION:
+            raise DatasetError(f"{where}: {name} goes up to {largest}; dpmacro needs actions numbered from 0")
         names = tuple(str(action) for action in range(largest + 1))
     outside = np.flatnonzero((actions < 0) | (actions >= len(names)))
     if len(outside):

@@ -14,9 +14,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from jaxtyping import UInt8
 
-from dpmacro.decoding import DatasetError, Sight, decode_video
+from dpmacro.decoding import decode_images, decode_video
+from dpmacro.sight import DatasetError, Gallery
 
 WORLD_FILE = "meta/dpmacro.json"
 
@@ -128,18 +128,23 @@ class StoredDataset:
             for name, of_episode in pieces.items()
         }
 
-    def video(
-        self, camera: str, episodes: list[dict[str, Any]], sight: Sight
-    ) -> tuple[UInt8[np.ndarray, "frames h w 3"], tuple[int, int]]:
-        """The frames of a video feature, each file decoded once from its start; stored height and width.
-
-        Raises DatasetError where a file lacks frames or has others of another size, and what `sight` raises.
-        """
-        where = f"dataset {self.root}, {camera}"
+    def fill(self, gallery: Gallery, camera: str, episodes: list[dict[str, Any]]) -> None:
+        """Put the frames of a camera into their places, a file at a time; errors as of `Gallery.put`."""
         starts = np.cumsum([0, *(row["length"] for row in episodes)])
         place = {row["episode_index"]: int(start) for row, start in zip(episodes, starts[:-1], strict=True)}
-        images: np.ndarray | None = None
-        shape: tuple[int, ...] = ()
+        if self.features[camera]["dtype"] == "video":
+            self._fill_from_videos(gallery, camera, episodes, place)
+            return
+        for _, group in _by_file(episodes, "data", self._data_file):
+            encoded = self.columns([camera], group)[camera]
+            places = [place[row["episode_index"]] + np.arange(row["length"]) for row in group]
+            decode_images(encoded, np.concatenate(places), gallery)
+            del encoded
+            pa.default_memory_pool().release_unused()  # Arrow would keep the memory of the encoded ones
+
+    def _fill_from_videos(
+        self, gallery: Gallery, camera: str, episodes: list[dict[str, Any]], place: dict[int, int]
+    ) -> None:
         for path, group in _by_file(episodes, f"videos/{camera}", self._video_file(camera)):
             wanted: dict[int, int] = {}
             for row in group:
@@ -147,18 +152,10 @@ class StoredDataset:
                 start = place[row["episode_index"]]
                 wanted |= {first + frame: start + frame for frame in range(row["length"])}
             for number, frame in decode_video(path, self.info["fps"], max(wanted)):
-                if number not in wanted:
-                    continue
-                seen = sight.of(frame, where)
-                if images is None:
-                    images, shape = sight.room(int(starts[-1]), seen, where), frame.shape
-                if frame.shape != shape:
-                    raise DatasetError(f"{where}: {path.name} is {frame.shape}, others {shape}; resize it")
-                images[wanted.pop(number)] = seen
+                if number in wanted:
+                    gallery.put(wanted.pop(number), frame)
             if wanted:
                 raise DatasetError(f"dataset {self.root}: {path.name} of {camera} lacks frame {min(wanted)}")
-        assert images is not None
-        return images, (shape[0], shape[1])
 
     def _recorded(self, key: str) -> dict[str, Any]:
         path = self.root / WORLD_FILE

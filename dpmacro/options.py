@@ -33,7 +33,7 @@ class DatasetOptions:
     camera: str | None = None
     """Image feature to learn from, where the dataset has several."""
     image_size: tuple[int, int] | None = None
-    """Width and height to shrink images to, like [128,96]; by default they stay as they are stored."""
+    """Width and height to shrink images to, like '[128,96]'; by default they stay as they are stored."""
     truth: str | None = None
     """Integer column with the true macro-labels, for metrics only; "none" or by default the recorded one."""
     mirror: bool = False

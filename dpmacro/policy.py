@@ -15,7 +15,6 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from dpmacro.decoding import Sight
 from dpmacro.features import FeatureSet, features_from
 from dpmacro.files import replacing
 from dpmacro.learners import Frames, StrongClassifier
@@ -224,17 +223,19 @@ class MacroPlanner:
         """All of its state but the frame before (see `rollouts.Planner`); None with recovery, which draws."""
         return None if self._recovery is not None else (self.macro, int(self._state.action[0]))
 
-    def reset(self, env: gym.Env) -> None:
-        """Begin an episode."""
+    def reset(self, env: gym.Env | None = None) -> None:
+        """Begin an episode; of which environment does not matter."""
         self._state = self.policy.initial_state(1)
         if self._recovery is not None:
             self._recovery.reset()
 
     def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
-        """The action for the frame that the environment shows now, which is shrunk as demonstrations were."""
-        pixels, config = observation["pixels"], self.policy.config
-        if pixels.shape[:2] == config.stored_shape:
-            pixels = Sight(config.image_shape[::-1]).of(pixels, "the observation")
+        """The action for the frame that the environment shows now.
+
+        It has the size that the demonstrations were stored with, and is shrunk as they were. Raises
+        ValueError where it has not.
+        """
+        pixels = self.policy.config.sight.of(observation["pixels"], "the observation")
         images, before = torch.from_numpy(pixels)[None], self._state.previous
         scores, self._state = self.policy.decide(images.to(self.policy.device), self._state)
         if self._recovery is None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dpmacro.features import FEATURES
+from dpmacro.sight import Sight
 
 __all__ = ["PolicyConfig", "read_config"]
 
@@ -30,6 +31,12 @@ class PolicyConfig:
     stored_shape: tuple[int, int] | None = None  # of images before they were shrunk; None where they were not
     world: dict[str, Any] = field(default_factory=dict)  # {"id": ..., **options} of the demonstrations
 
+    @property
+    def sight(self) -> Sight:
+        """How it sees: images of the size that its demonstrations were stored with, shrunk as they were."""
+        height, width = self.stored_shape or self.image_shape
+        return Sight(self.image_shape[::-1], stored=(width, height))
+
     def __post_init__(self) -> None:
         macros = [self.first_macro, *(macro for pair in self.switches for macro in pair)]
         sound = {
@@ -40,7 +47,7 @@ class PolicyConfig:
             "cues": len(self.cues) in (0, len(self.switches))
             and all(0 <= action < len(self.action_names) for own in self.cues for action in own),
             "image_shape and stored_shape": all(
-                len(shape) == 2 and all(isinstance(size, int) for size in shape)
+                len(shape) == 2 and all(isinstance(size, int) and size > 0 for size in shape)
                 for shape in (self.image_shape, self.stored_shape or self.image_shape)
             ),
             "features": self.features in FEATURES,

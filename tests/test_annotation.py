@@ -199,7 +199,7 @@ def test_a_baseline_is_sure_of_its_only_label():
         (
             {"images": np.zeros((100, 48, 64, 3), np.uint8)},
             None,
-            r"data/some has images of 48x64: the policy was trained on 6x8",
+            r"data/some has images of 64x48: the policy was trained on 8x6",
         ),
         (
             {"action_names": ("up", "down")},

@@ -57,6 +57,9 @@ def test_options_come_as_lerobot_has_them(tmp_path):
         ("--many=0,1", "write it in brackets, like '[0,1,2]'"),
         ("--name=a: b: c", "--name=a: b: c cannot be read (mapping values are not allowed here)"),
         ("--folder=@x", "--folder=@x cannot be read"),
+        ("--name=2024-13-45", "--name=2024-13-45 cannot be read (month must be in 1..12)"),
+        ("--inner.size=3,4", "write it in brackets"),
+        ("--inner.size=3", "write it in brackets"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(monkeypatch, capsys, argument, message):
@@ -88,6 +91,13 @@ def test_a_file_of_something_else_is_one_line(tmp_path, name, text, message):
 def test_a_folder_may_begin_at_home(monkeypatch):
     monkeypatch.setenv("HOME", "/home/she")
     assert cli.parse(Options, ["--folder=~/runs"]).folder == Path("/home/she/runs")
+    with pytest.raises(OSError, match=r"/home/she/none\.json"):
+        cli.parse(Options, ["--config_path=~/none.json"])
+
+
+@pytest.mark.parametrize("name", ["2024", "2024-11-23", "1.5"])
+def test_a_folder_may_look_like_a_number(name):
+    assert cli.parse(Options, [f"--folder={name}"]).folder == Path(name)
 
 
 @pytest.mark.parametrize(

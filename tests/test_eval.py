@@ -181,7 +181,6 @@ def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
         (["--segmentation=true", "--policy.type=teacher"], "give --policy.path alone to --segmentation"),
         (["--segmentation", "--policy.path=x"], "no demonstrations: give --dataset.root"),
         (["--segmentation", "--policy.path=x", "--dataset.root=y"], "x holds no config.json"),
-        (["--segmentation", "--policy.path=x", "--dataset.root=y", "--dataset.mirror=true"], "for training"),
         (
             ["--segmentation", "--policy.path=x", "--dataset.root=y", "--tolerance=-1"],
             "--tolerance=-1: it must",
@@ -189,15 +188,18 @@ def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
         (["--segmentation=maybe", "--policy.path=x"], "maybe"),
         (["--policy.type=teacher", "--dataset.root=y"], "--dataset.root=y is for --segmentation"),
         (["--policy.type=teacher", "--tolerance=3"], "--tolerance=3 is for --segmentation"),
-        (["--policy.type=teacher", "--policy.recovery=false"], "recovery=False is for saved policies"),
+        (["--policy.type=teacher", "--dataset.mirror=true"], "--dataset.mirror=True is for train.py"),
         *(
-            (["--segmentation", "--policy.path=x", "--dataset.root=y", option], f"{option} is for")
-            for option in (
-                "--episodes=5",
-                "--workers=2",
-                "--world.max_steps=9",
-                "--dataset.mirror=True",
-            )
+            (["--segmentation", "--policy.path=x", "--dataset.root=y", option], f"{told} is for")
+            for option, told in {
+                "--episodes=5": "--episodes=5",
+                "--workers=2": "--workers=2",
+                "--videos=1": "--videos=1",
+                "--world.max_steps=9": "--world.max_steps=9",
+                "--policy.recovery=false": "--policy.recovery=False",
+                "--dataset.mirror=true": "--dataset.mirror=True",
+                "--dataset.image_size=[8,6]": "--dataset.image_size=(8, 6)",
+            }.items()
         ),
     ],
 )
@@ -318,7 +320,7 @@ def test_a_dataset_of_another_size_is_refused(script, policy, tmp_path, monkeypa
         options = ["--segmentation", f"--policy.path={policy}", f"--dataset.root={tmp_path / 'small'}"]
         call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'out'}")
     error = capsys.readouterr().err
-    assert exit_.value.code == 2 and "images of 24x32" in error and "trained on 48x64" in error
+    assert exit_.value.code == 2 and "images are 32x24, the policy was trained on 64x48" in error
     assert error.count("\n") == 1 and not (tmp_path / "out").exists()
 
 

@@ -201,13 +201,19 @@ def test_a_planner_shrinks_what_demonstrations_were_shrunk_from(tmp_path):
     shrunk = [cv2.resize(image, SHAPE[::-1], interpolation=cv2.INTER_AREA) for image in large.numpy()]
     loaded = MacroPolicy.load(tmp_path)
     assert loaded.config == policy.config
-    assert run(loaded, large) == run(loaded, torch.from_numpy(np.stack(shrunk)))
-    assert run(loaded, images) == run(policy, images)
+    with pytest.raises(
+        ValueError, match="the observation: images are 16x12, the policy was trained on 32x36"
+    ):
+        loaded.planner().act({"pixels": images[0].numpy()}, {})
+    as_shrunk = replace(policy, config=replace(policy.config, stored_shape=None))
+    assert run(loaded, large) == run(as_shrunk, torch.from_numpy(np.stack(shrunk)))
 
 
 def test_an_image_of_another_size_is_refused():
     policy, _ = random_policy()
-    with pytest.raises(ValueError, match="an image is 48x64x3: the policy was trained on 12x16x3"):
+    with pytest.raises(
+        ValueError, match="the observation: images are 64x48, the policy was trained on 16x12"
+    ):
         policy.planner().act({"pixels": np.zeros((48, 64, 3), np.uint8)}, {})
 
 

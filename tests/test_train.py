@@ -16,14 +16,17 @@ from test_demonstrations import SPOILED, root  # noqa: F401  a fixture
 
 import train
 from dpmacro import cli, training
+from dpmacro.annotation import annotate
 from dpmacro.columns import GIB, Plan
 from dpmacro.crossfit import FOLDS
 from dpmacro.demonstrations import Demonstrations
 from dpmacro.features import previous_images
+from dpmacro.metrics import segments
 from dpmacro.options import DatasetOptions, TrainOptions
 from dpmacro.policy import MacroPolicy
 from dpmacro.runs import RunFolder
 from dpmacro.selection import FINALISTS, LEADERS
+from dpmacro.sight import Sight
 from dpmacro.training import TABLES
 
 SMALL = [
@@ -273,7 +276,11 @@ def test_shrunk_images_from_training_to_runs(recorded, tmp_path, monkeypatch, ca
         output = tmp_path / options[0].strip("-")
         monkeypatch.setattr(sys, "argv", ["", f"--policy.path={path}", *options, f"--output_dir={output}"])
         cli.run(script.main, script.EvalOptions)
-    assert json.loads((tmp_path / "segmentation/segmentation.json").read_text())["scores"]
+    demonstrations = Demonstrations.load(recorded, sight=Sight((32, 24)))
+    labels = annotate(MacroPolicy.load(path), demonstrations).labels.numpy()
+    told = json.loads((tmp_path / "segmentation/segmentation.json").read_text())["demonstrations"]
+    wanted = [part.tolist() for part in segments(labels, demonstrations.lengths)]
+    assert [row["segments"] for row in told] == wanted
     assert json.loads((tmp_path / "episodes=1/eval_info.json").read_text())["dpmacro"]["steps"] == [9]
 
 

@@ -196,7 +196,7 @@ OTHER = '{"rows": [{"flags": "fixed", "planner": "%s", "n": %d, "per_episode": [
 def test_a_file_of_other_rows_is_one_line(tmp_path, text):
     (tmp_path / "table.json").write_text(text)
     with pytest.raises(
-        ValueError, match=r"table\.json holds no rows of this table: give another --output_dir$"
+        ValueError, match=r"table\.json holds no rows of this table \(.+\): give another --output_dir$"
     ):
         main(options(tmp_path))
     assert (tmp_path / "table.json").read_text() == text

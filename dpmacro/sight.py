@@ -1,0 +1,101 @@
+"""How images are held in memory: their size, shrunk if need be, and how much they may take."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+__all__ = ["GIB", "DatasetError", "Gallery", "Sight"]
+
+GIB = 2**30
+
+
+class DatasetError(ValueError):
+    """A dataset that cannot be read, or not as demonstrations: one line with folder, value and remedy."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """How images are held; sizes are (width, height) in pixels.
+
+    Attributes:
+        size: that they are shrunk to, by the mean over areas; None for as they are stored.
+        stored: what a policy was trained on, the only size that they may be stored with; None for any.
+        memory: GiB that all of them may take; None for any.
+    """
+
+    size: tuple[int, int] | None = None
+    stored: tuple[int, int] | None = None
+    memory: float | None = None
+
+    def of(
+        self, image: UInt8[np.ndarray, "height width 3"], name: str
+    ) -> UInt8[np.ndarray, "held_height held_width 3"]:
+        """An image as it is held. Raises DatasetError, with `name`, where its size is not allowed."""
+        height, width = image.shape[:2]
+        if self.stored not in (None, (width, height)):
+            raise DatasetError(
+                f"{name}: images are {width}x{height}, the policy was trained on {_text(self.stored)}"
+            )
+        if self.size in (None, (width, height)):
+            return image
+        if self.size[0] > width or self.size[1] > height:
+            raise DatasetError(
+                f"{name}: images are {width}x{height}, image_size is {_text(self.size)}: ask for smaller ones"
+            )
+        return cv2.resize(image, self.size, interpolation=cv2.INTER_AREA)
+
+
+class Gallery:
+    """All images of a dataset, filled in any order; memory is taken with the first.
+
+    Args:
+        count: how many.
+        sight: how they are held.
+        name: for errors.
+    """
+
+    def __init__(self, count: int, sight: Sight, name: str) -> None:
+        self.count, self.sight, self.name = count, sight, name
+        self._images: np.ndarray | None = None
+        self._stored: tuple[int, ...] = ()
+
+    def put(self, place: int, image: UInt8[np.ndarray, "height width 3"]) -> None:
+        """Hold an image at `place`; of many threads the first call must have ended.
+
+        Raises DatasetError where its size is not that of the others, not allowed, or memory does not do.
+        """
+        if self._images is None:
+            self._stored, self._images = image.shape, self._room(self.sight.of(image, self.name))
+        if image.shape != self._stored:
+            raise DatasetError(
+                f"{self.name}: frame {place} is {image.shape}, others {self._stored}; resize it"
+            )
+        self._images[place] = self.sight.of(image, self.name)
+
+    @property
+    def images(self) -> UInt8[np.ndarray, "frames held_height held_width 3"]:
+        """All of them."""
+        assert self._images is not None, "a dataset has frames"
+        return self._images
+
+    @property
+    def stored_shape(self) -> tuple[int, int] | None:
+        """Height and width before they were shrunk; None where they were not."""
+        shape = self._stored[0], self._stored[1]
+        return None if shape == self.images.shape[1:3] else shape
+
+    def _room(self, first: np.ndarray) -> np.ndarray:
+        need, (height, width) = self.count * first.nbytes / GIB, first.shape[:2]
+        if self.sight.memory is not None and need > self.sight.memory:
+            raise DatasetError(
+                f"{self.name}: {self.count} images of {width}x{height} take {need:.2g} GiB, and there are "
+                f"{self.sight.memory:.2g} for them: give more --planner.memory_limit, shrink them, like "
+                f"--dataset.image_size='[{width // 2},{height // 2}]', or take fewer --dataset.episodes"
+            )
+        return np.empty((self.count, *first.shape), np.uint8)
+
+
+def _text(size: tuple[int, int] | None) -> str:
+    return "" if size is None else "{}x{}".format(*size)
