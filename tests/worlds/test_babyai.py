@@ -133,5 +133,5 @@ def test_what_is_no_level_is_refused(level):
 
 def test_without_minigrid_the_remedy_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "minigrid", None)
-    with pytest.raises(ValueError, match=r"pip install 'dpmacro\[babyai\]'"):
+    with pytest.raises(ValueError, match=r"pip install -e '\.\[babyai\]'"):
         run_bot(PUT_NEXT, 0)
