@@ -83,7 +83,7 @@ def _check_readable(arguments: Sequence[str]) -> None:
         value = argument.partition("=")[2] if argument.startswith("--") else argument
         try:
             cfgparsing.parse_string(value)
-        except (YAMLError, ValueError) as error:  # ValueError: a day that no month has
+        except (YAMLError, ValueError, DraccusException) as error:  # ValueError: a day that no month has
             raise ValueError(
                 f"{argument} cannot be read ({_problem(error)}): close brackets and quotes, and put a text "
                 "with special characters into quotes of its own"
@@ -106,8 +106,10 @@ def _check_readable(arguments: Sequence[str]) -> None:
         )
 
 
-def _problem(error: Exception) -> str:
-    """What is wrong, without the text that it is wrong in."""
+def _problem(error: BaseException) -> str:
+    """What is wrong, without the text that it is wrong in; draccus from 0.11 on wraps it up."""
+    while error.__cause__ is not None:
+        error = error.__cause__
     return str(getattr(error, "problem", None) or error)
 
 
