@@ -96,7 +96,7 @@ def _check_readable(arguments: Sequence[str]) -> None:
     try:
         with Path(path).open() as file:
             found = cfgparsing.load_config(file, file=path)
-    except (YAMLError, ValueError) as error:
+    except (YAMLError, ValueError, DraccusException) as error:
         raise ValueError(
             f"--config_path={path} cannot be read ({_problem(error)}): give a JSON file"
         ) from error
