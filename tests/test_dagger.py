@@ -36,6 +36,8 @@ def short_world(recorded, tmp_path_factory):
 
 @pytest.fixture(scope="module", params=["dpboost", "baseline"])
 def run(request, short_world, tmp_path_factory):
+    """The run folder of every kind of planner; the baseline's images are shrunk, those it gathers, too."""
+    size = ["--dataset.image_size=[32,24]"] if request.param == "baseline" else []
     output = tmp_path_factory.mktemp("runs") / request.param
     with pytest.MonkeyPatch.context() as patch:
         call(
@@ -43,6 +45,7 @@ def run(request, short_world, tmp_path_factory):
             f"--dataset.root={short_world}",
             f"--planner.type={request.param}",
             f"--output_dir={output}",
+            *size,
             *SMALL,
             *DAGGER,
         )

@@ -300,7 +300,11 @@ MISTAKES = {
     ),
     "too large a size": (
         ["--dataset.root={data}", "--dataset.image_size=[64,49]"],
-        r"images are 64x48, image_size is \[64, 49\]: ask for smaller ones",
+        r"images are 64x48, image_size is 64x49: ask for smaller ones",
+    ),
+    "mirror images that memory does not hold": (
+        ["--dataset.root={data}", "--dataset.mirror=true", "--planner.memory_limit=5e-4"],
+        r"30 images of 64x48 take 0\.00026 GiB, and there are 0\.00017 for them",
     ),
     "missing truth": (["--dataset.root={data}", "--dataset.truth=skill"], "no integer column 'skill'"),
     "missing episode": (["--dataset.root={data}", "--dataset.episodes=[7]"], "7"),
