@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 from jaxtyping import Int64
 
-from dpmacro.sight import DatasetError, Gallery
+from dpmacro.sight import DatasetError, FrameBuffer
 
 DECODE_BLOCK = 256  # frames a thread decodes at a time: few enough to balance, enough to hide the hand-over
 
 
-def decode_images(encoded: np.ndarray, places: Int64[np.ndarray, " frames"], gallery: Gallery) -> None:
+def decode_images(encoded: np.ndarray, places: Int64[np.ndarray, " frames"], buffer: FrameBuffer) -> None:
     """Put RGB images from PNG or JPEG bytes [frames] into their places.
 
-    Raises DatasetError for one that is damaged, and what the gallery raises.
+    Raises DatasetError for one that is damaged, and what the buffer raises.
     """
 
     def put(frame: int) -> None:
@@ -26,9 +26,9 @@ def decode_images(encoded: np.ndarray, places: Int64[np.ndarray, " frames"], gal
         image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
         if image is None:
             raise DatasetError(
-                f"{gallery.name}: the image of frame {places[frame]} is damaged; record the dataset again"
+                f"{buffer.name}: the image of frame {places[frame]} is damaged; record the dataset again"
             )
-        gallery.put(int(places[frame]), cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+        buffer.put(int(places[frame]), cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
     def put_block(start: int) -> None:
         for frame in range(start, min(start + DECODE_BLOCK, len(encoded))):

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Int64, UInt8
 
 from dpmacro.lerobot_v3 import StoredDataset
-from dpmacro.sight import DatasetError, Gallery, Sight
+from dpmacro.sight import DatasetError, FrameBuffer, Sight
+from dpmacro.stored_actions import discrete_actions
 
 __all__ = ["DatasetError", "Demonstrations"]
 
-LARGEST_ACTION = 2**16  # a policy holds fewer, and larger numbers are of something else
 AS_STORED = Sight()
 
 _SIDES = re.compile("left|right", re.IGNORECASE)
@@ -87,12 +87,12 @@ class Demonstrations:
         wanted = dict.fromkeys(("action", "discrete_action", truth))
         names = [name for name in wanted if name is not None and name in store.features]
         columns = store.columns(names, chosen)
-        actions, action_names = _discrete_actions(store, columns)
+        actions, action_names = discrete_actions(store, columns)
         labels, classes = (None, ()) if truth is None else _true_labels(store, truth, columns[truth])
-        gallery = Gallery(len(actions), sight, f"dataset {root}, {camera}")
-        store.fill(gallery, camera, chosen)
+        buffer = FrameBuffer(len(actions), sight, f"dataset {root}, {camera}")
+        store.fill(buffer, camera, chosen)
         return cls(
-            images=gallery.images,
+            images=buffer.images,
             actions=actions,
             lengths=np.array([row["length"] for row in chosen], np.int64),
             action_names=action_names,
@@ -102,7 +102,7 @@ class Demonstrations:
             root=root,
             truth_name=truth,
             truth_classes=classes,
-            stored_shape=gallery.stored_shape,
+            stored_shape=buffer.stored_shape,
         )
 
     @property
@@ -255,62 +255,3 @@ def _true_labels(
     named = tuple(store.truth.get(truth, ()))
     largest = max(int(labels.max()), -1 if named else store.largest(truth))
     return labels, named + tuple(str(label) for label in range(len(named), largest + 1))
-
-
-def _discrete_actions(
-    store: StoredDataset, columns: dict[str, np.ndarray]
-) -> tuple[Int64[np.ndarray, " frames"], tuple[str, ...]]:
-    """Actions 0..M-1 and their M names, from whichever of the two columns is discrete."""
-    where = f"dataset {store.root}"
-    name = "discrete_action" if "discrete_action" in columns else "action"
-    if name not in columns:
-        raise DatasetError(f"{where}: has no action feature; dpmacro learns from actions")
-    actions, vectors = columns[name], columns.get("action")
-    if actions.ndim == 2 and actions.shape[1] > 1:
-        return _from_one_hot(actions, where), _names(store.features[name], actions.shape[1])
-    actions = _whole(actions.reshape(-1), f"{where}: {name}")
-    if vectors is not None and vectors.ndim == 2 and vectors.shape[1] > 1 and np.isin(vectors, (0, 1)).all():
-        names = _names(store.features["action"], vectors.shape[1])
-    else:  # numbers without names: the statistics know actions that the chosen episodes lack
-        largest = max(int(actions.max()), store.largest(name))
-        if largest > LARGEST_ACTION:
-            raise DatasetError(f"{where}: {name} goes up to {largest}; dpmacro needs actions numbered from 0")
-        names = tuple(str(action) for action in range(largest + 1))
-    outside = np.flatnonzero((actions < 0) | (actions >= len(names)))
-    if len(outside):
-        frame = outside[0]
-        raise DatasetError(
-            f"{where}: {name} {actions[frame]} of frame {frame} is outside 0..{len(names) - 1}"
-        )
-    return actions, names
-
-
-def _whole(values: np.ndarray, what: str) -> Int64[np.ndarray, " frames"]:
-    """Whole numbers, whatever their type."""
-    if values.dtype.kind not in "biuf":
-        raise DatasetError(
-            f"{what} is of type {values.dtype} (first {values[0]!r}); dpmacro needs whole numbers"
-        )
-    if values.dtype.kind == "f" and not (np.isfinite(values) & (values == np.round(values))).all():
-        raise DatasetError(f"{what}: continuous actions (first {values[0]:g}); dpmacro needs discrete ones")
-    return values.astype(np.int64)
-
-
-def _from_one_hot(vectors: np.ndarray, where: str) -> Int64[np.ndarray, " frames"]:
-    """The position of the one in every row."""
-    if not np.isin(vectors, (0, 1)).all():
-        raise DatasetError(f"{where}: continuous actions (first {vectors[0]}); dpmacro needs discrete ones")
-    wrong = np.flatnonzero(vectors.sum(axis=1) != 1)
-    if len(wrong):
-        raise DatasetError(f"{where}: action {vectors[wrong[0]]} of frame {wrong[0]} is not one-hot")
-    return vectors.argmax(axis=1).astype(np.int64)
-
-
-def _names(feature: dict[str, Any], count: int) -> tuple[str, ...]:
-    """The names of a vector feature's entries, a list or LeRobot's {"motors": list}; else their numbers."""
-    names = feature.get("names")
-    if isinstance(names, dict):
-        names = next(iter(names.values()), None)
-    if isinstance(names, list) and len(names) == count:
-        return tuple(str(name) for name in names)
-    return tuple(str(action) for action in range(count))

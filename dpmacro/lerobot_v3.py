@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dpmacro.decoding import decode_images, decode_video
-from dpmacro.sight import DatasetError, Gallery
+from dpmacro.sight import DatasetError, FrameBuffer
 
 WORLD_FILE = "meta/dpmacro.json"
 
@@ -128,22 +128,22 @@ class StoredDataset:
             for name, of_episode in pieces.items()
         }
 
-    def fill(self, gallery: Gallery, camera: str, episodes: list[dict[str, Any]]) -> None:
-        """Put the frames of a camera into their places, a file at a time; errors as of `Gallery.put`."""
+    def fill(self, buffer: FrameBuffer, camera: str, episodes: list[dict[str, Any]]) -> None:
+        """Put the frames of a camera into their places, a file at a time; errors as of `FrameBuffer.put`."""
         starts = np.cumsum([0, *(row["length"] for row in episodes)])
         place = {row["episode_index"]: int(start) for row, start in zip(episodes, starts[:-1], strict=True)}
         if self.features[camera]["dtype"] == "video":
-            self._fill_from_videos(gallery, camera, episodes, place)
+            self._fill_from_videos(buffer, camera, episodes, place)
             return
         for _, group in _by_file(episodes, "data", self._data_file):
             encoded = self.columns([camera], group)[camera]
             places = [place[row["episode_index"]] + np.arange(row["length"]) for row in group]
-            decode_images(encoded, np.concatenate(places), gallery)
+            decode_images(encoded, np.concatenate(places), buffer)
             del encoded
             pa.default_memory_pool().release_unused()  # Arrow would keep the memory of the encoded ones
 
     def _fill_from_videos(
-        self, gallery: Gallery, camera: str, episodes: list[dict[str, Any]], place: dict[int, int]
+        self, buffer: FrameBuffer, camera: str, episodes: list[dict[str, Any]], place: dict[int, int]
     ) -> None:
         for path, group in _by_file(episodes, f"videos/{camera}", self._video_file(camera)):
             wanted: dict[int, int] = {}
@@ -153,7 +153,7 @@ class StoredDataset:
                 wanted |= {first + frame: start + frame for frame in range(row["length"])}
             for number, frame in decode_video(path, self.info["fps"], max(wanted)):
                 if number in wanted:
-                    gallery.put(wanted.pop(number), frame)
+                    buffer.put(wanted.pop(number), frame)
             if wanted:
                 raise DatasetError(f"dataset {self.root}: {path.name} of {camera} lacks frame {min(wanted)}")
 

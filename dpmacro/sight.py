@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-__all__ = ["GIB", "DatasetError", "Gallery", "Sight"]
+__all__ = ["GIB", "DatasetError", "FrameBuffer", "Sight"]
 
 GIB = 2**30
 
@@ -34,11 +34,11 @@ class Sight:
     ) -> UInt8[np.ndarray, "held_height held_width 3"]:
         """An image as it is held. Raises DatasetError, with `name`, where its size is not allowed."""
         height, width = image.shape[:2]
-        if self.stored not in (None, (width, height)):
+        if self.stored is not None and self.stored != (width, height):
             raise DatasetError(
                 f"{name}: images are {width}x{height}, the policy was trained on {_text(self.stored)}"
             )
-        if self.size in (None, (width, height)):
+        if self.size is None or self.size == (width, height):
             return image
         if self.size[0] > width or self.size[1] > height:
             raise DatasetError(
@@ -47,7 +47,7 @@ class Sight:
         return cv2.resize(image, self.size, interpolation=cv2.INTER_AREA)
 
 
-class Gallery:
+class FrameBuffer:
     """All images of a dataset, filled in any order; memory is taken with the first.
 
     Args:
@@ -97,5 +97,5 @@ class Gallery:
         return np.empty((self.count, *first.shape), np.uint8)
 
 
-def _text(size: tuple[int, int] | None) -> str:
-    return "" if size is None else "{}x{}".format(*size)
+def _text(size: tuple[int, int]) -> str:
+    return "{}x{}".format(*size)

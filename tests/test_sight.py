@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dpmacro.sight import DatasetError, Gallery, Sight
+from dpmacro.sight import DatasetError, FrameBuffer, Sight
 
 
 def noise(height, width):
@@ -12,26 +12,26 @@ def noise(height, width):
 
 
 def test_images_come_to_their_places_shrunk():
-    gallery, images = Gallery(3, Sight((8, 6)), "here"), [noise(48, 64) for _ in range(3)]
+    buffer, images = FrameBuffer(3, Sight((8, 6)), "here"), [noise(48, 64) for _ in range(3)]
     for place in (2, 0, 1):
-        gallery.put(place, images[place])
-    assert gallery.stored_shape == (48, 64)
+        buffer.put(place, images[place])
+    assert buffer.stored_shape == (48, 64)
     wanted = [cv2.resize(image, (8, 6), interpolation=cv2.INTER_AREA) for image in images]
-    assert np.array_equal(gallery.images, wanted)
+    assert np.array_equal(buffer.images, wanted)
 
 
 def test_images_of_the_size_asked_for_are_as_stored():
-    gallery = Gallery(1, Sight((64, 48)), "here")
-    gallery.put(0, noise(48, 64))
-    assert gallery.stored_shape is None and np.array_equal(gallery.images[0], noise(48, 64))
+    buffer = FrameBuffer(1, Sight((64, 48)), "here")
+    buffer.put(0, noise(48, 64))
+    assert buffer.stored_shape is None and np.array_equal(buffer.images[0], noise(48, 64))
 
 
 @pytest.mark.parametrize("sight", [Sight(), Sight((8, 6))])
 def test_images_of_several_sizes_are_refused(sight):
-    gallery = Gallery(2, sight, "here")
-    gallery.put(1, noise(48, 64))
+    buffer = FrameBuffer(2, sight, "here")
+    buffer.put(1, noise(48, 64))
     with pytest.raises(DatasetError, match=r"here: frame 0 is \(24, 32, 3\), others \(48, 64, 3\)"):
-        gallery.put(0, noise(24, 32))
+        buffer.put(0, noise(24, 32))
 
 
 @pytest.mark.parametrize(
@@ -48,4 +48,4 @@ def test_images_of_several_sizes_are_refused(sight):
 )
 def test_what_cannot_be_held_is_named(sight, message):
     with pytest.raises(DatasetError, match=message):
-        Gallery(200_000, sight, "here").put(0, noise(48, 64))
+        FrameBuffer(200_000, sight, "here").put(0, noise(48, 64))
