@@ -1,4 +1,4 @@
-"""Discrete actions out of a LeRobot dataset's columns, stored as numbers of any type or as one-hot vectors."""
+"""Discrete actions out of a LeRobot dataset's columns: numbers of any type, or one-hot vectors."""
 
 from typing import Any
 
