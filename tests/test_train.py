@@ -293,6 +293,18 @@ def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monke
     assert state["lengths"].tolist() == [12, 7, 2, 9] and len(state["labels"]) == 30
 
 
+def test_the_truth_may_change_as_often_as_it_likes(recorded):
+    """The recorded demonstrations have 12, 7, 2 and 9 frames."""
+    truth = np.concatenate([np.arange(length) // 4 for length in (12, 7, 2, 9)])
+    demonstrations = replace(Demonstrations.load(recorded), truth=truth)
+    told = "true phase   {} of frames agree; {} of 5 change points found within 10 frames, {} made"
+    assert train.truth_report(truth, demonstrations) == told.format("100.0%", 5, 5)
+    labels = np.concatenate([np.arange(length) // 6 for length in (12, 7, 2, 9)])
+    assert train.truth_report(labels, demonstrations).endswith(
+        "; 3 of 5 change points found within 10 frames, 3 made"
+    )
+
+
 MISTAKES = {
     "no root": ([], "give --dataset.root="),
     "missing dataset": (["--dataset.root={tmp}/nowhere"], "nowhere"),
