@@ -23,17 +23,17 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from dpmacro import cli
-from dpmacro.causes import failure_causes
-from dpmacro.files import replacing
-from dpmacro.outcomes import success_summary
-from dpmacro.rollouts import Episode, Moment, PlannerSource, iter_episodes, replay
-from dpmacro.worlds.two_flags import ACTIONS, TwoFlagsConfig
+from dpmacro.evaluation.rollouts import Episode, Moment, PlannerSource, iter_episodes, replay
+from dpmacro.metrics.success import success_summary
+from dpmacro.utils import cli
+from dpmacro.utils.files import replacing
+from dpmacro.worlds.two_flags.diagnosis import failure_causes
+from dpmacro.worlds.two_flags.env import ACTIONS, TwoFlagsConfig
 
 # Every worker process imports this file again: what only the parent needs is imported where it is used.
 
 if TYPE_CHECKING or parent_process() is None:
-    from dpmacro.options import DatasetOptions
+    from dpmacro.training.options import DatasetOptions
 else:
     DatasetOptions = object
 
@@ -151,7 +151,7 @@ def main(options: EvalOptions) -> None:
 
 def count_successes(options: EvalOptions) -> None:
     """Run the planner in its world; print how it fared, and write it down."""
-    from dpmacro.run_report import eval_info, run_text, write_scalars
+    from dpmacro.evaluation.summary import eval_info, run_text, write_scalars
 
     source, name, stored = planner(options.policy)
     given = {option: value for option, value in vars(options.world).items() if value is not None}
@@ -195,7 +195,7 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
     """What runs, its name, and the options of the world it was trained in."""
     if options.path is None:
         return PlannerSource("teacher"), "teacher", {}
-    from dpmacro.policy import MacroPolicy
+    from dpmacro.policy.policy import MacroPolicy
 
     config = MacroPolicy.load(options.path).config
     # JSON knows no tuples, which the world's options hold.
@@ -213,12 +213,12 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
 
 def show_segmentation(options: EvalOptions) -> None:
     """Cut demonstrations with a policy; print how that agrees with the truth, and write a report."""
-    from dpmacro.annotation import annotate
-    from dpmacro.demonstrations import Demonstrations
-    from dpmacro.findings import Findings
-    from dpmacro.gallery import picture_count, pictures
-    from dpmacro.policy import MacroPolicy
-    from dpmacro.report import PAGE, SHOWN, SUMMARY, score_text, write_report
+    from dpmacro.annotation.annotate import annotate
+    from dpmacro.annotation.pictures import picture_count, pictures
+    from dpmacro.annotation.report import PAGE, SHOWN, SUMMARY, score_text, write_report
+    from dpmacro.annotation.summary import Findings
+    from dpmacro.data.demonstrations import Demonstrations
+    from dpmacro.policy.policy import MacroPolicy
 
     path, dataset = options.policy.path, options.dataset
     assert path is not None and dataset.root is not None, "the options checked it"
@@ -268,7 +268,7 @@ def write_videos(
     source: PlannerSource, world: dict[str, Any], episodes: Sequence[Episode], count: int, folder: Path
 ) -> list[str]:
     """Replay up to `count` runs, failed ones first, into MP4s; their paths."""
-    from dpmacro.videos import write_run
+    from dpmacro.evaluation.videos import write_run
 
     chosen = sorted(range(len(episodes)), key=lambda index: episodes[index].success)[:count]
     paths = [folder / f"eval_episode_{index}.mp4" for index in chosen]

@@ -16,18 +16,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from tqdm import tqdm
 
-from dpmacro import cli
-from dpmacro.choosing import Choice
-from dpmacro.demonstrations import Demonstrations
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.data.images import Sight
+from dpmacro.discovery.model_order import Choice
 from dpmacro.metrics import boundary_counts, frame_accuracy
-from dpmacro.options import TrainOptions
-from dpmacro.outcomes import wilson_interval
-from dpmacro.runs import RunFolder
-from dpmacro.sight import Sight
-from dpmacro.training import Trainer, TrainingResult
+from dpmacro.metrics.success import wilson_interval
+from dpmacro.training.options import TrainOptions
+from dpmacro.training.run_folder import RunFolder
+from dpmacro.training.trainer import Trainer, TrainingResult
+from dpmacro.utils import cli
 
 if TYPE_CHECKING:
-    from dpmacro.dagger import Iteration
+    from dpmacro.training.dagger import Iteration
 
 TOLERANCE = 10  # frames by which a found change point may miss a true one
 
@@ -45,7 +45,7 @@ def main(options: TrainOptions) -> None:
         demonstrations = demonstrations.mirrored(dataset.mirror_actions)
     started = time.perf_counter()
     if options.dagger.iterations:
-        from dpmacro.dagger import aggregate  # worlds and their teachers: a second of imports
+        from dpmacro.training.dagger import aggregate  # worlds and their teachers: a second of imports
 
         result = aggregate(
             demonstrations, options, folder, lambda done: tqdm.write(dagger_report(done))

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float32, Int64, UInt8
 from torch import Tensor
 
-from dpmacro.demonstrations import Demonstrations
+from dpmacro.data.demonstrations import Demonstrations
 
 __all__ = ["ACTION", "IMAGE", "PADDED", "STATE", "Chunks", "as_seen"]
 

@@ -32,12 +32,12 @@ from report import header
 from safetensors.torch import load_file
 from tqdm import tqdm
 
-from dpmacro import cli
-from dpmacro.demonstrations import Demonstrations
-from dpmacro.files import replacing
-from dpmacro.outcomes import wilson_interval
-from dpmacro.policy import MacroPolicy
-from dpmacro.rollouts import OUTCOMES, SUCCESS
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.evaluation.rollouts import OUTCOMES, SUCCESS
+from dpmacro.metrics.success import wilson_interval
+from dpmacro.policy.policy import MacroPolicy
+from dpmacro.utils import cli
+from dpmacro.utils.files import replacing
 
 VALIDATION_SEED = 5000
 

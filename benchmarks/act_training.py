@@ -27,8 +27,8 @@ from act_chunks import ACTION, IMAGE, STATE, Chunks, as_seen
 from jaxtyping import UInt8
 from tqdm import tqdm
 
-from dpmacro.demonstrations import Demonstrations
-from dpmacro.files import replacing
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.utils.files import replacing
 
 __all__ = ["ActOptions", "ActPlanner", "Trained", "facts_of", "train"]
 

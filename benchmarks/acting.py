@@ -37,7 +37,7 @@ def act(dataset: str, features: str, batch: int, threads: int, repeats: int) -> 
     """Milliseconds of a call, means over `CALLS`, and the number of columns that the policy computes."""
     import torch
 
-    from dpmacro.demonstrations import Demonstrations
+    from dpmacro.data.demonstrations import Demonstrations
 
     torch.set_num_threads(threads)
     images = torch.from_numpy(Demonstrations.load(dataset, [0]).images)
@@ -55,11 +55,11 @@ def act(dataset: str, features: str, batch: int, threads: int, repeats: int) -> 
 def _policy(kind: str, images: Any) -> Any:
     import torch
 
-    from dpmacro.features import make_features
-    from dpmacro.learners.stumps import StumpClassifier
-    from dpmacro.policy import MacroPolicy
-    from dpmacro.policy_config import PolicyConfig
-    from dpmacro.quantising import Quantiser
+    from dpmacro.boosting.learners.stumps import StumpClassifier
+    from dpmacro.features.base import make_features
+    from dpmacro.features.quantising import Quantiser
+    from dpmacro.policy.config import PolicyConfig
+    from dpmacro.policy.policy import MacroPolicy
 
     generator = torch.Generator().manual_seed(0)
     height, width = images.shape[1:3]

@@ -11,10 +11,10 @@ from plan import Plan, settled
 from report import Row
 from stumps import EXACT, as_levels
 
-from dpmacro.boosting import Boosting, class_targets
-from dpmacro.initial import random_cuts
-from dpmacro.learners.stumps import SortedLevels, StumpLearner
-from dpmacro.segmentation import segment
+from dpmacro.boosting.learners.stumps import SortedLevels, StumpLearner
+from dpmacro.boosting.loop import Boosting, class_targets
+from dpmacro.discovery.starts import random_cuts
+from dpmacro.segmentation.recursion import segment
 
 __all__ = ["MACROS", "alternating", "rows"]
 

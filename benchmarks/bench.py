@@ -23,7 +23,7 @@ import training
 from plan import Plan
 from report import Row, header, table, write
 
-from dpmacro import cli
+from dpmacro.utils import cli
 
 NOTES = """\
 Seconds are medians after a warm-up; ratio is ours / peer's; accuracies are of training / held-out frames.

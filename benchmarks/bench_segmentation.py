@@ -23,13 +23,13 @@ from segmentation_peers import PEERS, Found
 from segmentation_sources import TOLERANCES, Source, check_recorded, sources
 from tqdm import tqdm
 
-from dpmacro import cli
-from dpmacro.columns import Plan, prepare
-from dpmacro.discovery import DPBoost
-from dpmacro.features import make_features
-from dpmacro.files import replacing
+from dpmacro.discovery.dpboost import DPBoost
+from dpmacro.features.base import make_features
+from dpmacro.features.columns import Plan, prepare
 from dpmacro.metrics import segmentation_scores
-from dpmacro.options import PlannerOptions
+from dpmacro.training.options import PlannerOptions
+from dpmacro.utils import cli
+from dpmacro.utils.files import replacing
 
 NOTES = """\
 Means over n seeds, which on digits draw the data, too. Every method is told Q; dpmacro, as its bound, the

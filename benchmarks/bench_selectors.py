@@ -25,22 +25,22 @@ from selector_scores import choices, fit_table, picture, table
 from torch import Tensor
 from tqdm import tqdm
 
-from dpmacro import cli
-from dpmacro.columns import Plan, prepare
-from dpmacro.crossfit import bounded_deviance
-from dpmacro.discovery import DPBoost
-from dpmacro.features import make_features
+from dpmacro.boosting.crossfit import bounded_deviance
+from dpmacro.data.synthetic import digits
+from dpmacro.discovery.candidates import MARGIN, Judged
+from dpmacro.discovery.dpboost import DPBoost
+from dpmacro.discovery.result import Search
+from dpmacro.features.base import make_features
+from dpmacro.features.columns import Plan, prepare
+from dpmacro.features.levels import SortedLevels
+from dpmacro.features.quantising import Quantiser
 from dpmacro.figures import save
-from dpmacro.files import replacing
-from dpmacro.learners.sorting import SortedLevels
-from dpmacro.marginals import costs_without
 from dpmacro.metrics import segmentation_scores
-from dpmacro.options import PlannerOptions
-from dpmacro.quantising import Quantiser
-from dpmacro.search import Search
-from dpmacro.segmentation import segment
-from dpmacro.selection import MARGIN, Judged
-from dpmacro.synthetic import digits
+from dpmacro.segmentation.marginals import costs_without
+from dpmacro.segmentation.recursion import segment
+from dpmacro.training.options import PlannerOptions
+from dpmacro.utils import cli
+from dpmacro.utils.files import replacing
 
 NOTES = """\
 Truth: accuracy of frames, boundary F1 at the tolerance given. Regret: by how much the best rival beats the

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from matrices import SIZES, Matrix, planted
 
-from dpmacro.demonstrations import Demonstrations
-from dpmacro.features import make_features, previous_images
-from dpmacro.quantising import Quantiser
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.features.base import make_features, previous_images
+from dpmacro.features.quantising import Quantiser
 
 __all__ = ["build", "recorded"]
 

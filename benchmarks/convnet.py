@@ -15,16 +15,16 @@ from pathlib import Path
 
 import torch
 
-from dpmacro import cli
-from dpmacro.boosting import Boosting, class_targets
-from dpmacro.columns import Plan, prepare
-from dpmacro.demonstrations import Demonstrations
-from dpmacro.features import frames_before, make_features
-from dpmacro.learners import WeakLearner
-from dpmacro.learners.convnet import ConvNetLearner
-from dpmacro.learners.ensemble import InTurn
-from dpmacro.learners.stumps import StumpLearner
-from dpmacro.switch_training import SwitchSettings, fit_switches
+from dpmacro.boosting.learners.base import WeakLearner
+from dpmacro.boosting.learners.convnet import ConvNetLearner
+from dpmacro.boosting.learners.ensemble import InTurn
+from dpmacro.boosting.learners.stumps import StumpLearner
+from dpmacro.boosting.loop import Boosting, class_targets
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.features.base import frames_before, make_features
+from dpmacro.features.columns import Plan, prepare
+from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.utils import cli
 
 LEFT_OUT = 4  # one of so many trajectories
 REUSE = 5  # rounds that a search for stumps serves

@@ -21,9 +21,10 @@ from matplotlib.figure import Figure
 from report import inserted
 from tqdm import tqdm
 
-from dpmacro import cli, figures
-from dpmacro.files import replacing
-from dpmacro.outcomes import wilson_interval
+from dpmacro import figures
+from dpmacro.metrics.success import wilson_interval
+from dpmacro.utils import cli
+from dpmacro.utils.files import replacing
 
 MARKS = ("<!-- failures -->", "<!-- /failures -->")
 ROWS = 5  # causes in pictures, the most frequent ones

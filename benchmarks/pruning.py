@@ -16,13 +16,13 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from dpmacro import cli
-from dpmacro.boosting import Boosting, class_targets, exponentials_of
-from dpmacro.columns import Plan, prepare
-from dpmacro.demonstrations import Demonstrations
-from dpmacro.features import make_features
-from dpmacro.learners.sorting import SortedLevels
-from dpmacro.learners.stumps import StumpLearner, column_losses
+from dpmacro.boosting.learners.stumps import StumpLearner, column_losses
+from dpmacro.boosting.loop import Boosting, class_targets, exponentials_of
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.features.base import make_features
+from dpmacro.features.columns import Plan, prepare
+from dpmacro.features.levels import SortedLevels
+from dpmacro.utils import cli
 
 SHARES = (0.5, 0.9, 0.95, 0.99)
 ROUNDS = (0, 10, 50, 150, 300)

@@ -1,4 +1,4 @@
-"""The segmentation as the textbook has it, a compiled loop over time: what `dpmacro.segmentation` is held to.
+"""The segmentation as the textbook has it, a compiled loop over time: what the recursion is held to.
 
     E(n, q, s) = c_n(q) + min(E(n-1, q, s), min_{q'} E(n-1, q', s-1))
 

@@ -9,7 +9,7 @@ import subprocess
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from dpmacro.files import replacing
+from dpmacro.utils.files import replacing
 
 __all__ = ["Row", "header", "inserted", "table", "write"]
 

@@ -1,6 +1,6 @@
 """Demonstrations whose true macro-labels are known, as what every method of the segmentation table gets.
 
-digits      scikit-learn's digits, a hidden rule of the action changing at hidden points (dpmacro.synthetic)
+digits      scikit-learn's digits, a hidden rule of the action changing at hidden points
 two_flags   a recorded dataset of TwoFlags-v0, the phase its truth
 babyai      recorded datasets of BabyAI levels, the bot's subgoal their truth
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpmacro.demonstrations import Demonstrations
+from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.metrics import transitions
 
 __all__ = ["COMPONENTS", "TOLERANCES", "Source", "check_recorded", "from_dataset", "sources"]
@@ -102,7 +102,7 @@ def sources(
     """
     for name in names:
         if name == "digits":
-            from dpmacro.synthetic import digits
+            from dpmacro.data.synthetic import digits
 
             for rules in QUICK_RULES if quick else RULES:
                 for seed in seeds:

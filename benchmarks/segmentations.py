@@ -57,7 +57,7 @@ def ours(trajectories: int, frames: int, macros: int, repeats: int, bounds: list
     """`segment`: for every bound, seconds of `repeats` runs after a first, and the trajectories' costs."""
     import torch
 
-    from dpmacro.segmentation import segment
+    from dpmacro.segmentation.recursion import segment
 
     costs = torch.from_numpy(problem(trajectories, frames, macros)).flatten(0, 1)
     lengths = torch.full((trajectories,), frames)

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 from segmentation_sources import TOLERANCES
 
+from dpmacro.discovery.candidates import Verdict, best_verdict
 from dpmacro.figures.style import FAINT, PALETTE, WIDTH, bare, legend, set_title
-from dpmacro.selection import Verdict, best_verdict
 
 __all__ = ["CRITERIA", "choices", "fit_table", "picture", "rule_ranks", "table"]
 

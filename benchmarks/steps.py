@@ -22,9 +22,9 @@ from types import ModuleType
 from typing import Any
 from unittest.mock import patch
 
-from dpmacro import cli
-from dpmacro.rollouts import PlannerSource, iter_episodes
-from dpmacro.worlds.bullet import pybullet
+from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes
+from dpmacro.utils import cli
+from dpmacro.worlds.two_flags.bullet import pybullet
 
 PROCESSES = 2
 SCRIPTS = Path(__file__).resolve().parent.parent / "datasets"
@@ -194,10 +194,10 @@ def _record(record: ModuleType, world: dict[str, Any], root: Path, n_runs: int) 
 
 def _train(dataset: Path, folder: Path, quick: bool) -> Path:
     """A policy of the usual size from a few demonstrations."""
-    from dpmacro.demonstrations import Demonstrations
-    from dpmacro.options import DatasetOptions, PlannerOptions, TrainOptions
-    from dpmacro.runs import RunFolder
-    from dpmacro.training import Trainer
+    from dpmacro.data.demonstrations import Demonstrations
+    from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
+    from dpmacro.training.run_folder import RunFolder
+    from dpmacro.training.trainer import Trainer
 
     rounds, switch_rounds = (5, 5) if quick else (300, 60)
     planner = PlannerOptions(restarts=1, rounds=rounds, switch_rounds=switch_rounds)

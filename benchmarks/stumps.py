@@ -11,11 +11,11 @@ from matrices import Matrix
 from measure import peak_gib
 from torch import Tensor
 
-from dpmacro.boosting import Boosting, class_targets
-from dpmacro.learners import Frames, WeakLearner
-from dpmacro.learners.sorting import SortedLevels
-from dpmacro.learners.stumps import StumpClassifier, StumpLearner
-from dpmacro.quantising import Quantiser
+from dpmacro.boosting.learners.base import Frames, WeakLearner
+from dpmacro.boosting.learners.stumps import StumpClassifier, StumpLearner
+from dpmacro.boosting.loop import Boosting, class_targets
+from dpmacro.features.levels import SortedLevels
+from dpmacro.features.quantising import Quantiser
 
 __all__ = ["EXACT", "OPTIONS", "Option", "as_levels", "ours", "ours_until"]
 

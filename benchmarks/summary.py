@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dpmacro import cli, figures
-from dpmacro.outcomes import wilson_interval
+from dpmacro import figures
+from dpmacro.metrics.success import wilson_interval
+from dpmacro.utils import cli
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 
-from dpmacro.worlds.two_flags import PIXELS, TwoFlagsConfig
+from dpmacro.worlds.two_flags.env import PIXELS, TwoFlagsConfig
 
 __all__ = [
     "DAGGER_WORLDS",

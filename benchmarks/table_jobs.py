@@ -20,7 +20,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from dpmacro.files import replacing
+from dpmacro.utils.files import replacing
 
 __all__ = ["Job", "forget", "progress", "read_stamp", "run"]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from table_cells import DEFAULT_SIZE, PLANNERS, SWEEP, TEACHER
 
-from dpmacro.outcomes import Paired, mcnemar
+from dpmacro.metrics.success import Paired, mcnemar
 
 __all__ = ["Row", "as_json", "count", "curve_points", "groups", "paired", "pooled", "sweep_seed"]
 

@@ -21,8 +21,8 @@ from table_cells import Cell
 from table_jobs import Job, forget, read_stamp, run
 from tqdm import tqdm
 
-from dpmacro.lerobot_v3 import WORLD_FILE
-from dpmacro.worlds.two_flags import PIXELS
+from dpmacro.data.lerobot.reader import WORLD_FILE
+from dpmacro.worlds.two_flags.env import PIXELS
 
 __all__ = ["CHUNK", "Runs", "chunks", "work"]
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm import tqdm
 
-from dpmacro import cli
-from dpmacro.outcomes import wilson_interval
-from dpmacro.rollouts import OUTCOMES, SUCCESS, PlannerSource, iter_episodes
-from dpmacro.worlds.two_flags import PIXELS, TwoFlagsConfig
+from dpmacro.evaluation.rollouts import OUTCOMES, SUCCESS, PlannerSource, iter_episodes
+from dpmacro.metrics.success import wilson_interval
+from dpmacro.utils import cli
+from dpmacro.worlds.two_flags.env import PIXELS, TwoFlagsConfig
 
 
 @dataclass

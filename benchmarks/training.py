@@ -31,7 +31,7 @@ def rows(plan: Plan) -> Iterator[Row]:
 
 def train(dataset: str, frames: int) -> dict[str, Any]:
     """Train on the first trajectories that hold `frames` frames; on all where they hold fewer."""
-    from dpmacro.lerobot_v3 import StoredDataset
+    from dpmacro.data.lerobot.reader import StoredDataset
 
     store = StoredDataset.open(Path(dataset))
     episodes, total = [], 0

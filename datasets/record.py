@@ -18,11 +18,11 @@ from jaxtyping import Float32, Int64, UInt8
 from tqdm import tqdm
 
 import dpmacro.worlds  # noqa: F401  registers the world
-from dpmacro import cli
-from dpmacro.processes import spread, stopped
-from dpmacro.recording import DemonstrationWriter
-from dpmacro.worlds.teacher import Teacher
-from dpmacro.worlds.two_flags import ACTIONS, TwoFlagsConfig, TwoFlagsEnv
+from dpmacro.data.lerobot.writer import DemonstrationWriter
+from dpmacro.utils import cli
+from dpmacro.utils.processes import spread, stopped
+from dpmacro.worlds.two_flags.env import ACTIONS, TwoFlagsConfig, TwoFlagsEnv
+from dpmacro.worlds.two_flags.teacher import Teacher
 
 WORLD = "TwoFlags-v0"
 FPS: int = TwoFlagsEnv.metadata["render_fps"]  # type: ignore[assignment]

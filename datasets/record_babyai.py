@@ -15,8 +15,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dpmacro import cli
-from dpmacro.recording import DemonstrationWriter
+from dpmacro.data.lerobot.writer import DemonstrationWriter
+from dpmacro.utils import cli
 from dpmacro.worlds.babyai import ACTIONS, LEVELS, SUBGOALS, check_level, run_bot
 
 FPS = 10

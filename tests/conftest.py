@@ -27,7 +27,7 @@ def pytest_unconfigure(config):
 @pytest.fixture(scope="session")
 def recorded(tmp_path_factory) -> Path:
     """A dataset of `random_episodes()`; tests that change it work on a copy."""
-    from dpmacro.recording import DemonstrationWriter
+    from dpmacro.data.lerobot.writer import DemonstrationWriter
 
     root = tmp_path_factory.mktemp("recorded") / "two_flags"
     with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False) as writer:

@@ -82,9 +82,9 @@ def test_imports_run_one_way():
 def test_a_module_leaves_the_edge_to_the_scripts(path):
     used = set(imports(path))
     assert not {name for name in used if name.split(".")[0] in SCRIPTS}
-    if module_name(path) != "dpmacro.lerobot_writing":
+    if module_name(path) != "dpmacro.data.lerobot.compat":
         assert not {name for name in used if (name + ".").startswith(("lerobot.datasets.", "datasets."))}
-    if module_name(path) != "dpmacro.cli":
+    if module_name(path) != "dpmacro.utils.cli":
         assert not calls(path) & {"print", "input", "exit", "quit"}
         assert not used & {"sys.exit", "argparse", "draccus"}
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 
 from dpmacro.figures.style import INK, PALETTE, WIDTH, bare, legend, plain, set_title
-from dpmacro.outcomes import wilson_interval
+from dpmacro.metrics.success import wilson_interval
 
 OUTCOME_COLOURS = {
     "success": "#009E73",

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.patches import Patch
 
-from dpmacro.files import replacing
+from dpmacro.utils.files import replacing
 
 # Okabe and Ito's colours, distinct under the common kinds of colour blindness; truth stands in greys,
 # neighbours far apart.

@@ -10,16 +10,16 @@ import pytest
 import torch
 from noise import ACTIONS, LENGTHS, random_episodes
 
-from dpmacro import cli
-from dpmacro.demonstrations import Demonstrations
-from dpmacro.features import Pixels
-from dpmacro.learners.stumps import StumpClassifier
-from dpmacro.outcomes import wilson_interval
-from dpmacro.policy import MacroPolicy
-from dpmacro.policy_config import PolicyConfig
-from dpmacro.quantising import Quantiser
-from dpmacro.recording import DemonstrationWriter
-from dpmacro.rollouts import OUTCOMES
+from dpmacro.boosting.learners.stumps import StumpClassifier
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.data.lerobot.writer import DemonstrationWriter
+from dpmacro.evaluation.rollouts import OUTCOMES
+from dpmacro.features.base import Pixels
+from dpmacro.features.quantising import Quantiser
+from dpmacro.metrics.success import wilson_interval
+from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.policy import MacroPolicy
+from dpmacro.utils import cli
 
 ROOT = Path(__file__).parents[2]
 WORLD = {"id": "TwoFlags-v0", "flags": "fixed", "layout_seed": 3, "max_steps": 12, "render_size": [64, 48]}

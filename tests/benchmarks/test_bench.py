@@ -12,7 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.segmentation import segment
+from dpmacro.segmentation.recursion import segment
 
 ROOT = Path(__file__).parents[2]
 BENCHMARKS = ROOT / "benchmarks"
@@ -92,7 +92,7 @@ def test_a_peer_that_is_not_installed_is_skipped_with_the_remedy(run):
 def test_a_wrong_option_is_one_line(modules, option, message):
     import bench as script
 
-    from dpmacro import cli
+    from dpmacro.utils import cli
 
     with pytest.raises(ValueError, match=message.replace("[", r"\[")):
         cli.parse(script.BenchOptions, [option])
@@ -108,7 +108,7 @@ def test_a_measurement_that_fails_says_why(modules):
 def test_demonstrations_hold_out_their_last_trajectories(modules, recorded):
     from building import recorded as from_recording
 
-    from dpmacro.demonstrations import Demonstrations
+    from dpmacro.data.demonstrations import Demonstrations
 
     demonstrations = Demonstrations.load(recorded)
     matrix = from_recording("pixels", demonstrations, 1_000_000, 50)

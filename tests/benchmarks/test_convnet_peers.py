@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpmacro.recording import DemonstrationWriter
+from dpmacro.data.lerobot.writer import DemonstrationWriter
 
 ROOT = Path(__file__).parents[2]
 FAST = ["--first=2", "--switch_stumps=3", "--switch_convnets=1"]

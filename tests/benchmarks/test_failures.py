@@ -19,9 +19,9 @@ sys.path.insert(0, str(ROOT / "benchmarks"))  # as the script itself finds its n
 from failure_runs import AT_ONCE, PICTURES, Run, by_cause, example, key_steps, read_runs, stills  # noqa: E402
 from failures import MARKS, MEANINGS, lost_worlds, text, with_results  # noqa: E402
 
-from dpmacro.causes import CAUSES  # noqa: E402
-from dpmacro.outcomes import wilson_interval  # noqa: E402
-from dpmacro.rollouts import PlannerSource, replay  # noqa: E402
+from dpmacro.evaluation.rollouts import PlannerSource, replay  # noqa: E402
+from dpmacro.metrics.success import wilson_interval  # noqa: E402
+from dpmacro.worlds.two_flags.diagnosis import CAUSES  # noqa: E402
 
 WORLD = {"id": "TwoFlags-v0", "flags": "random", "yaw_noise": 0.5, "render_size": (64, 48), "max_steps": 40}
 

@@ -18,12 +18,12 @@ sys.path.insert(0, str(ROOT / "benchmarks"))  # as the script itself finds its n
 from bench_selectors import SelectorOptions, criteria, main  # noqa: E402
 from selector_scores import CRITERIA, choices, fit_table, picture, rule_ranks, table  # noqa: E402
 
-from dpmacro import cli  # noqa: E402
-from dpmacro.alternation import Alternated  # noqa: E402
+from dpmacro.discovery.alternation import Alternated  # noqa: E402
+from dpmacro.discovery.candidates import Judged, Task, Verdict, best_verdict  # noqa: E402
+from dpmacro.discovery.result import Search  # noqa: E402
 from dpmacro.figures import to_image  # noqa: E402
-from dpmacro.search import Search  # noqa: E402
-from dpmacro.selection import Judged, Task, Verdict, best_verdict  # noqa: E402
-from dpmacro.switching import SwitchFunctions  # noqa: E402
+from dpmacro.switching.functions import SwitchFunctions  # noqa: E402
+from dpmacro.utils import cli  # noqa: E402
 
 CASE = {"group": "two_flags", "source": "two_flags", "case": "two_flags phase", "data": "ab", "seed": 0}
 VERDICT = [field.name for field in fields(Verdict)]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpmacro.rollouts import PlannerSource, iter_episodes
-from dpmacro.worlds.bullet import pybullet
+from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes
+from dpmacro.worlds.two_flags.bullet import pybullet
 
 ROOT = Path(__file__).parents[2]
 WORLD = {"id": "TwoFlags-v0", "render_size": (64, 48), "max_steps": 20}

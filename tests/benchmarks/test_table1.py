@@ -16,7 +16,7 @@ from table1 import TableOptions, main, read_rows  # noqa: E402
 from table_jobs import read_stamp  # noqa: E402
 from table_runs import Runs  # noqa: E402
 
-from dpmacro import cli  # noqa: E402
+from dpmacro.utils import cli  # noqa: E402
 
 TINY = ("--planner.type=baseline", "--planner.rounds=3", "--planner.rectangles=60")
 ROW = {"flags", "planner", "demonstrations", "train_seed", "successes", "n"}

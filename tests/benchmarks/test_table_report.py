@@ -14,7 +14,7 @@ from table_cells import PLANNERS  # noqa: E402
 from table_report import MARKS, main_table, report, write_report  # noqa: E402
 from table_rows import curve_points, groups, paired, pooled  # noqa: E402
 
-from dpmacro.outcomes import mcnemar, wilson_interval  # noqa: E402
+from dpmacro.metrics.success import mcnemar, wilson_interval  # noqa: E402
 
 
 def row(planner, per_episode, seed=0, flags="random", demonstrations=20, size=(128, 96), first=10_000):

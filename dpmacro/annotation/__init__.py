@@ -1,0 +1,1 @@
+"""A policy's segmentation of demonstrations: labels, scores, pictures and a page."""

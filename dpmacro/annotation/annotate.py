@@ -1,0 +1,105 @@
+"""Macro-labels for demonstrations, new or old: the segmentation that a saved policy's classifiers want."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Float32, Int64
+from torch import Tensor
+
+from dpmacro.boosting.learners.base import Frames
+from dpmacro.boosting.loop import class_targets, exponentials_of
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.discovery.alternation import SwitchCosts
+from dpmacro.discovery.joint import charges_of
+from dpmacro.features.base import frames_before
+from dpmacro.policy.policy import MacroPolicy
+from dpmacro.segmentation.marginals import margins
+from dpmacro.segmentation.recursion import segment
+
+__all__ = ["Annotation", "annotate"]
+
+CHUNK = 1024  # frames whose features stand in memory at once
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """What a policy says of demonstrations."""
+
+    labels: Int64[Tensor, " frames"]  # macro-action of every frame, 0..Q-1
+    confidence: Float32[Tensor, " frames"]  # 0..1, see `annotate`
+    cost_by_bound: Float[Tensor, "trajectories bounds"]  # exponential loss with at most s = 0..S transitions
+
+
+def annotate(
+    policy: MacroPolicy, demonstrations: Demonstrations, max_transitions: int | None = None
+) -> Annotation:
+    """The macro-labels under which the policy's strong classifiers explain the actions best, in hindsight.
+
+    With the costs c_n(q) of the policy's classifiers the bounded segmentation is exact. The confidence of a
+    frame is 1 - exp(-d), where d is what the best segmentation with another label there would cost more in
+    exponential loss; it says how sharply these classifiers decide, which on the demonstrations they were
+    trained on is sharper than on new ones. Where switch functions had a say in the training's segmentation
+    (dpmacro/discovery/joint.py), the policy's have theirs here.
+
+    Args:
+        policy: from a training run.
+        demonstrations: with the policy's actions and image size.
+        max_transitions: S; by default the one that the policy was trained with.
+
+    Raises ValueError where image size or actions are not those of the policy. Actions without names are its
+    first ones.
+    """
+    config = policy.config
+    if tuple(demonstrations.images.shape[1:3]) != config.image_shape:
+        height, width = demonstrations.images.shape[1:3]
+        wanted = "x".join(map(str, config.image_shape[::-1]))
+        raise ValueError(
+            f"{demonstrations.root} has images of {width}x{height}: the policy was trained on {wanted}"
+        )
+    if not _same_actions(demonstrations.action_names, config.action_names):
+        raise ValueError(
+            f"{demonstrations.root} has the actions {', '.join(demonstrations.action_names)}: the policy "
+            f"knows {', '.join(config.action_names)}"
+        )
+    if max_transitions is None:
+        max_transitions = config.macros - 1 if config.max_transitions is None else config.max_transitions
+    lengths = torch.from_numpy(demonstrations.lengths)
+    costs, switching = _costs(policy, demonstrations)
+    changing = None if switching is None else switching.changing
+    found = segment(costs, lengths, max_transitions, changing)
+    sure = margins(costs, lengths, max_transitions, found.labels, changing)
+    confidence = -torch.expm1(-sure.clamp(min=0)).float()
+    return Annotation(found.labels.cpu(), confidence.cpu(), found.cost_by_bound.cpu())
+
+
+def _same_actions(names: tuple[str, ...], known: tuple[str, ...]) -> bool:
+    """Whether actions 0..M-1 of these names are those of a policy."""
+    numbers = tuple(map(str, range(max(len(names), len(known)))))
+    if names == numbers[: len(names)]:
+        return len(names) <= len(known)
+    return names == known or (known == numbers[: len(known)] and len(names) == len(known))
+
+
+@torch.inference_mode()
+def _costs(
+    policy: MacroPolicy, demonstrations: Demonstrations
+) -> tuple[Float[Tensor, "frames macros"], SwitchCosts | None]:
+    """c_n(q) = sum_m exp(-y_n^m f_q^m(x_n)) and the switch functions' costs of staying, and their costs."""
+    images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
+    before = frames_before(lengths)
+    actions = torch.from_numpy(demonstrations.actions).to(policy.device)
+    targets = class_targets(actions, len(policy.config.action_names))
+    costs, switches = [], []
+    for frames in torch.arange(len(images)).split(CHUNK):
+        current, previous = images[frames].to(policy.device), images[before[frames]].to(policy.device)
+        seen = Frames(policy.quantiser.levels(policy.features.values(current, previous)), current, previous)
+        scores = policy.actor.scores(seen)
+        costs.append(exponentials_of(scores, targets[frames.to(policy.device), :, : scores.shape[2]]).sum(2))
+        if policy.switcher is not None and policy.config.switch_weight:
+            switches.append(policy.switcher.scores(seen)[:, :, 0])
+    if not switches:
+        return torch.cat(costs), None
+    log_odds = torch.tensor(policy.config.change_log_odds, device=policy.device)
+    weight, pairs = policy.config.switch_weight, policy.config.switches
+    switching = charges_of(torch.cat(switches), pairs, log_odds, lengths, weight)
+    return torch.cat(costs) + switching.staying, switching

@@ -1,0 +1,151 @@
+"""The pictures of a segmentation: the dataset's, what classifiers look at, demonstrations'."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, UInt8
+from matplotlib.figure import Figure
+
+from dpmacro import figures
+from dpmacro.annotation.summary import Findings
+from dpmacro.boosting.learners.ensemble import Ensemble
+from dpmacro.boosting.learners.stumps import StumpClassifier
+from dpmacro.policy.policy import MacroPolicy
+
+__all__ = ["Picture", "chosen_pixels", "mean_images", "picture_count", "pictures"]
+
+TOLD = 6  # segments that a picture's text counts up
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure and what to know about it.
+
+    Attributes:
+        name: of its file, without suffix.
+        heading: of the page's section that it stands in.
+        figure: itself.
+        alt: what it shows, in words.
+        caption: how to read it.
+    """
+
+    name: str
+    heading: str
+    figure: Figure
+    alt: str
+    caption: str = ""
+
+
+def pictures(findings: Findings, shown: int) -> Iterator[Picture]:
+    """Made one at a time: those of the dataset, then the first `shown` demonstrations."""
+    yield _timelines(findings)
+    yield _graph(findings)
+    if len(findings.cost_by_bound) > 1:
+        yield _elbow(findings)
+    if (weights := chosen_pixels(findings.policy)) is not None:
+        yield _heat_maps(findings, weights)
+    for place in range(min(shown, len(findings.episodes))):
+        yield _timeline(findings, place)
+
+
+def picture_count(findings: Findings, shown: int) -> int:
+    """How many `pictures` there are."""
+    optional = (len(findings.cost_by_bound) > 1) + (chosen_pixels(findings.policy) is not None)
+    return 2 + optional + min(shown, len(findings.episodes))
+
+
+def chosen_pixels(policy: MacroPolicy) -> Float[np.ndarray, "macros height width"] | None:
+    """How much the stumps of every macro-action's classifier rest on each pixel; None where it has no stumps.
+
+    A stump counts with the step of its votes, spread evenly over the pixels that its column looks at.
+    """
+    parts = policy.actor.parts if isinstance(policy.actor, Ensemble) else (policy.actor,)
+    stumps = [part for part in parts if isinstance(part, StumpClassifier)]
+    if not stumps:
+        return None
+    weights = torch.stack([part.importances(policy.features.count) for part in stumps]).sum(0)
+    return policy.features.footprint(weights).cpu().numpy()
+
+
+def mean_images(
+    images: UInt8[np.ndarray, "frames height width 3"], labels: Int[np.ndarray, " frames"], n_macros: int
+) -> UInt8[np.ndarray, "macros height width 3"]:
+    """The mean image of the frames that each macro-action holds, black where it holds none."""
+    result = np.zeros((n_macros, *images.shape[1:]), np.uint8)
+    for macro in np.unique(labels).tolist():
+        result[macro] = images[labels == macro].mean(0).round()
+    return result
+
+
+def _timelines(findings: Findings) -> Picture:
+    demonstrations = findings.demonstrations
+    figure = figures.timelines(
+        findings.labels,
+        findings.lengths,
+        demonstrations.truth,
+        truth_name=demonstrations.truth_name,
+        truth_classes=demonstrations.truth_classes,
+        confidence=findings.frame_confidence,
+        numbers=findings.episodes,
+    )
+    below = "" if demonstrations.truth is None else ", the true classes below them in grey"
+    caption = f"Macro-actions in colour{below}. Pale colours are frames that another label explains as well."
+    alt = f"{len(findings.episodes)} demonstrations as bars along time, a colour for every macro-action"
+    return Picture("segmentation", "All demonstrations", figure, alt, caption)
+
+
+def _graph(findings: Findings) -> Picture:
+    figure = figures.transition_graph(findings.labels, findings.lengths)
+    counts = figures.edge_counts(findings.labels, findings.lengths)
+    edges = sorted(counts.items(), key=lambda edge: -edge[1])[:TOLD]
+    alt = "Most frequent: " + ", ".join(f"{a} to {b} {count} times" for (a, b), count in edges)
+    caption = "Percentages are shares of frames, numbers how often one macro-action follows another."
+    return Picture("transitions", "Transitions", figure, alt, caption)
+
+
+def _elbow(findings: Findings) -> Picture:
+    cost = findings.cost_by_bound
+    figure = figures.elbow(cost, len(cost) - 1)
+    alt = "Cost per frame: " + ", ".join(f"{value:.3f} at S = {s}" for s, value in enumerate(cost))
+    caption = "What another transition saves. A bound beyond the bend cuts where nothing changes."
+    return Picture("elbow", "Cost by bound", figure, alt, caption)
+
+
+def _heat_maps(findings: Findings, weights: Float[np.ndarray, "macros height width"]) -> Picture:
+    macros = findings.macros
+    means = mean_images(findings.demonstrations.images, findings.labels, len(macros))
+    names = [f"macro-action {macro['macro']}, {macro['share']:.0%} of frames" for macro in macros]
+    alt = "For every macro-action its mean image, and in grey with the pixels its classifier weighs"
+    caption = (
+        "Above, the mean image of a macro-action's frames. Below, the weight of every stump spread over the "
+        "pixels that it looks at: its classifier decides by the hot ones."
+    )
+    return Picture(
+        "pixels", "What the classifiers look at", figures.heat_maps(means, weights, names), alt, caption
+    )
+
+
+def _timeline(findings: Findings, place: int) -> Picture:
+    demonstrations = findings.demonstrations
+    frames, episode = demonstrations.trajectories[place], findings.episodes[place]
+    figure = figures.timeline(
+        demonstrations.images[frames],
+        findings.labels[frames],
+        demonstrations.actions[frames],
+        None if demonstrations.truth is None else demonstrations.truth[frames],
+        f"Demonstration {episode}",
+        demonstrations.action_names,
+        demonstrations.truth_name,
+        demonstrations.truth_classes,
+        findings.frame_confidence[frames],
+    )
+    found = findings.segments[place]
+    told = ", then ".join(f"macro-action {macro} to frame {end}" for macro, _, end in found[:TOLD])
+    rest = f", and {len(found) - TOLD} more segments" if len(found) > TOLD else ""
+    caption = f"{findings.lengths[place]} frames, mean confidence {findings.confidence[place]:.2f}"
+    if findings.agreement is not None:
+        caption += f", {findings.agreement[place]:.1%} of them agree with the truth"
+    alt = f"Demonstration {episode}: {told}{rest}"
+    return Picture(f"demonstration_{episode:03d}", "Demonstrations", figure, alt, caption)

@@ -1,0 +1,1 @@
+"""The boosting loop, its losses, and what a fit leaves out."""

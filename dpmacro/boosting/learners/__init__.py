@@ -1,0 +1,1 @@
+"""Weak learners: stumps, tiny convolutional networks, and both in turn."""

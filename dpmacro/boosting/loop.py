@@ -1,0 +1,131 @@
+"""The one boosting loop: strong classifiers grown a round at a time, many problems side by side.
+
+AdaBoost.MH (Schapire and Singer 1999): for every problem p the strong classifier
+f_p^m(x) = sum_t h_{p,t}^m(x) lowers sum_n d_{n,p} sum_m exp(-y_{n,p}^m f_p^m(x_n)), where d is the frame's
+base weight in the problem.
+The macro-classes of DPBoost, the baseline and the switch functions are all problems of this kind.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from dpmacro.boosting.learners.base import StrongClassifier, WeakLearner
+
+__all__ = ["MARGIN_LIMIT", "Boosting", "Round", "class_targets", "exponentials_of"]
+
+CHANCE = 1e-6  # relative; a round that lowers the loss by less is no better than chance
+TRIES = 3  # rounds in a row without success: columns are drawn and networks start at random
+MARGIN_LIMIT = 18.0  # exp(18) = 6.6e7: prefix sums of such costs keep 1e-5 in float64
+
+
+@dataclass(frozen=True)
+class Round:
+    """What a boosting round reports to whoever watches."""
+
+    stage: str  # discover | judge | recognise | validate | fit | switch
+    number: int  # from 1
+    total: int
+    loss: float  # exponential loss per frame; of the best restart while discovering
+    accuracy: float  # share of training frames whose class is right, likewise
+    labels: (
+        Int64[Tensor, " frames"] | None
+    )  # macro-labels, likewise; None where there is not one segmentation
+    label_changes: float = 0.0  # share of frames whose macro-label this round changed
+    ended: tuple[int, ...] = ()  # macro-actions or switch functions that found nothing better than chance
+
+
+class Boosting:
+    """Strong classifiers in the making: their scores on the training frames and the rounds so far.
+
+    Args:
+        learner: finds the weak hypothesis of a round.
+        targets: True where y^m = +1; one set for all problems, or one each.
+        n_problems: how many strong classifiers grow side by side.
+        shrinkage: factor in (0, 1] on every weak hypothesis.
+        generator: the randomness of the learner.
+        start: scores to begin with, which `strong` knows nothing of; zeros by default.
+
+    With base weights held still the loss never rises: a weak hypothesis that does not lower it is no better
+    than chance and is left out. A problem to which that happens `TRIES` times in a row has ended.
+    """
+
+    def __init__(
+        self,
+        learner: WeakLearner,
+        targets: Bool[Tensor, "frames #problems classes"],
+        n_problems: int,
+        shrinkage: float,
+        generator: torch.Generator,
+        start: Float[Tensor, "frames problems classes"] | None = None,
+    ) -> None:
+        if not 0 < shrinkage <= 1:
+            raise ValueError(f"shrinkage is {shrinkage}: give a number above 0 and up to 1")
+        self.learner = learner
+        self.targets = targets.to(learner.device)
+        self.shrinkage = shrinkage
+        self.generator = generator
+        shape = (learner.n_frames, n_problems, targets.shape[2])
+        zeros = torch.zeros(shape, device=learner.device)
+        self.scores: Float[Tensor, "frames problems classes"] = zeros if start is None else start
+        self.ended: Bool[Tensor, " problems"] = torch.zeros(
+            n_problems, dtype=torch.bool, device=learner.device
+        )
+        self._failures = torch.zeros(shape[1], dtype=torch.int64, device=learner.device)
+        self._exponentials = exponentials_of(self.scores, self.targets)
+        self._rounds: list = []
+        self._steps: list[Tensor] = []
+        self._memory: object = None
+
+    def round(self, base: Float[Tensor, "frames problems"]) -> Int64[Tensor, " ended"]:
+        """Add one weak hypothesis to every problem, fitted to its base weights times the losses so far.
+
+        Returns the problems that end in this round. Raises ValueError for weights that are negative or NaN,
+        and for those whose sum overflows.
+        """
+        if not bool((base >= 0).all()):
+            raise ValueError(f"a base weight is {float(base.min())}: weights must be 0 or more")
+        weights = (base * ~self.ended)[:, :, None] * self._exponentials
+        before = weights.sum((0, 2), dtype=torch.float64)
+        hypotheses, self._memory = self.learner.fit(weights, self.targets, self.generator, self._memory)
+        steps = self.shrinkage * (~self.ended).to(weights.dtype)
+        scores = self.scores + steps[:, None] * self.learner.outputs(hypotheses)
+        exponentials = exponentials_of(scores, self.targets)
+        after = (base[:, :, None] * exponentials).sum((0, 2), dtype=torch.float64)
+        chance = (before > 0) & ~(after <= before * (1 - CHANCE))
+        self._failures = torch.where(chance, self._failures + 1, 0)
+        if bool(chance.any()):
+            steps[chance] = 0
+            scores[:, chance], exponentials[:, chance] = self.scores[:, chance], self._exponentials[:, chance]
+        ending = (self._failures == TRIES) & ~self.ended
+        self.ended = self.ended | ending
+        self.scores, self._exponentials = scores, exponentials
+        self._rounds.append(hypotheses)
+        self._steps.append(steps)
+        return ending.nonzero()[:, 0]
+
+    def losses(self) -> Float[Tensor, "frames problems"]:
+        """sum_m exp(-y^m f^m(x)) of every frame and problem: the cost of holding the frame."""
+        return self._exponentials.sum(2)
+
+    def strong(self, rounds: Int64[Tensor, " problems"] | None = None) -> StrongClassifier:
+        """The strong classifiers of all rounds so far, or of the first `rounds` of every problem."""
+        steps = torch.stack(self._steps)
+        if rounds is not None:
+            steps = steps * (torch.arange(len(steps), device=steps.device)[:, None] < rounds)
+        return self.learner.strong(self._rounds, steps)
+
+
+def exponentials_of(
+    scores: Float[Tensor, "frames problems classes"], targets: Bool[Tensor, "frames #problems classes"]
+) -> Float[Tensor, "frames problems classes"]:
+    """exp(-y^m f^m(x)), margins no lower than -`MARGIN_LIMIT`."""
+    margins = torch.where(targets, scores, -scores)
+    return margins.clamp_(min=-MARGIN_LIMIT).neg_().exp_()
+
+
+def class_targets(labels: Int64[Tensor, " frames"], n_classes: int) -> Bool[Tensor, "frames 1 classes"]:
+    """y_n^m = +1 as True where frame n has class m, for all problems alike."""
+    return torch.nn.functional.one_hot(labels, n_classes).bool()[:, None]

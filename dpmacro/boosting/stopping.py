@@ -1,0 +1,80 @@
+"""Early stopping: trajectories that a fit leaves out decide how many boosting rounds are worth having."""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from dpmacro.boosting.folds import folds_of
+from dpmacro.boosting.learners.base import WeakLearner
+from dpmacro.boosting.loop import Boosting, Round, class_targets
+
+__all__ = ["BestRound", "validated_rounds"]
+
+PARTS = 4  # one of so many parts of the trajectories is left out
+PATIENCE = 0.2  # share of all rounds that may pass without a better one
+LEAST_PATIENCE = 5
+
+
+class BestRound:
+    """The round with the least held-out loss of every problem, and when to give up on a better one."""
+
+    def __init__(self, rounds: int) -> None:
+        self.patience = max(int(PATIENCE * rounds), LEAST_PATIENCE)
+        self.number = 0  # rounds seen
+        self.best: Int64[Tensor, " problems"] = torch.zeros(0, dtype=torch.int64)  # from 1
+        self._least: Tensor | None = None
+
+    def exhausted(self, losses: Float[Tensor, " problems"]) -> bool:
+        """Note the held-out losses of one more round; whether no problem has hope left."""
+        self.number += 1
+        if self._least is None:
+            self._least, self.best = losses.clone(), torch.ones_like(losses, dtype=torch.int64)
+        better = losses < self._least
+        self._least = torch.where(better, losses, self._least)
+        self.best = torch.where(better, self.number, self.best)
+        return bool((self.number - self.best >= self.patience).all())
+
+
+def validated_rounds(
+    learner: WeakLearner,
+    labels: Int64[Tensor, " frames"],
+    actions: Int64[Tensor, " frames"],
+    lengths: Int64[Tensor, " trajectories"],
+    rounds: int,
+    shrinkage: float,
+    generator: torch.Generator,
+    groups: Int64[Tensor, " trajectories"] | None = None,
+    on_round: Callable[[Round], None] = lambda _: None,
+) -> int:
+    """How many of `rounds` boosting rounds left-out trajectories want, 1 or more.
+
+    A classifier for every macro-class is fitted, its labels held still, with a quarter of the trajectories
+    left out; the round with the fewest wrong actions on those is the answer. The share of wrong actions is
+    asked rather than the exponential loss, which rises as soon as a few left-out frames are confidently
+    wrong, long before the planner's decisions suffer.
+
+    Trajectories of the same group are left out together. Raises ValueError where nothing can be left out.
+    """
+    fold_of = folds_of(len(lengths), PARTS, generator, groups)
+    if int(fold_of.max()) == 0:
+        raise ValueError(
+            f"{len(lengths)} trajectory: early stopping leaves trajectories out, give two or more"
+        )
+    left_out = (fold_of == 0).repeat_interleave(lengths).to(learner.device)
+    labels, actions = labels.to(learner.device), actions.to(learner.device)
+    n_macros = int(labels.max()) + 1
+    base = torch.nn.functional.one_hot(labels, n_macros).float() * ~left_out[:, None]
+    targets = class_targets(actions, int(actions.max()) + 1)
+    boosting = Boosting(learner, targets, n_macros, shrinkage, generator)
+    stopping, frames = BestRound(rounds), torch.arange(len(labels), device=learner.device)
+    for number in range(1, rounds + 1):
+        boosting.round(base)
+        wrong = boosting.scores[frames, labels].argmax(1) != actions
+        error = wrong[left_out].float().mean()
+        loss = float(boosting.losses()[frames, labels][left_out].mean())
+        on_round(Round("validate", number, rounds, loss, 1 - float(error), None))
+        if stopping.exhausted(error[None]) or bool(boosting.ended.all()):
+            break
+    return int(stopping.best)

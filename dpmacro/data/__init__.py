@@ -1,0 +1,1 @@
+"""Demonstrations: LeRobot datasets in and out, actions, images, and generators of ground truth."""

@@ -1,0 +1,1 @@
+"""DPBoost: boosting and segmentation in turn, and which segmentation to keep."""

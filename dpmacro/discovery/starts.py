@@ -1,0 +1,154 @@
+"""Initial segmentations for DPBoost's restarts."""
+
+import torch
+from jaxtyping import Int64, UInt8
+from torch import Tensor
+
+from dpmacro.segmentation.recursion import segment
+
+__all__ = ["action_events", "feature_peaks", "initial_segmentations", "random_cuts", "uniform_cuts"]
+
+
+def initial_segmentations(
+    levels: UInt8[Tensor, "columns frames"],
+    actions: Int64[Tensor, " frames"],
+    lengths: Int64[Tensor, " trajectories"],
+    restarts: int,
+    macros: int,
+    max_transitions: int,
+    generator: torch.Generator,
+) -> Int64[Tensor, "restarts frames"]:
+    """Half feature peaks, a quarter action events, one of uniform cuts, the rest of random cuts."""
+    n_peaks, n_events, n_uniform = (restarts + 1) // 2, restarts // 4, int(restarts > 3)
+    n_random = restarts - n_peaks - n_events - n_uniform
+    bounds = macros, max_transitions
+    starts = [
+        feature_peaks(levels, lengths, n_peaks, *bounds, generator),
+        action_events(actions, lengths, n_events, *bounds, generator),
+        uniform_cuts(lengths, *bounds)[:n_uniform],
+        random_cuts(lengths, n_random, *bounds, generator),
+    ]
+    return torch.cat(starts)
+
+
+def random_cuts(
+    lengths: Int64[Tensor, " trajectories"],
+    restarts: int,
+    macros: int,
+    max_transitions: int,
+    generator: torch.Generator,
+) -> Int64[Tensor, "restarts frames"]:
+    """S uniform random cuts in every trajectory, macro-actions in turn from the first."""
+    parts = []
+    for length in lengths.tolist():
+        cuts = torch.rand(restarts, max_transitions, 1, generator=generator) * length
+        parts.append((torch.arange(length) >= cuts).sum(1) % macros)
+    return torch.cat(parts, 1)
+
+
+def feature_peaks(
+    levels: UInt8[Tensor, "columns frames"],
+    lengths: Int64[Tensor, " trajectories"],
+    restarts: int,
+    macros: int,
+    max_transitions: int,
+    generator: torch.Generator,
+    actions: Int64[Tensor, " frames"] | None = None,
+) -> Int64[Tensor, "restarts frames"]:
+    """Cuts where S random features are extreme: change points that can be recognised when they come.
+
+    A switch function sees images and nothing else, so a segmentation that can be run changes where something
+    is seen. Every restart draws S columns, each with a sign, and cuts every trajectory where each has its
+    first maximum after its first frame; macro-actions come in turn from the first.
+
+    Given `actions`, cuts are made only where another action is taken than in the frame before, in
+    trajectories that have such frames: who begins another macro-action mostly begins another action.
+    """
+    shape = (restarts, max_transitions)
+    columns = torch.randint(len(levels), shape, generator=generator)
+    falling = torch.randint(2, shape, generator=generator, dtype=torch.bool)
+    drawn = levels[columns.to(levels.device)].cpu().short()  # [restarts, S, frames]
+    heights = torch.where(falling[:, :, None], -drawn, drawn)
+    allowed = torch.ones(drawn.shape[2], dtype=torch.bool)
+    if actions is not None:
+        allowed[1:] = (actions[1:] != actions[:-1]).cpu()
+    allowed[lengths.cumsum(0) - lengths] = False
+    parts = []
+    for part, own in zip(heights.split(lengths.tolist(), 2), allowed.split(lengths.tolist()), strict=True):
+        places = own.nonzero()[:, 0] if own.any() else torch.arange(1, max(len(own), 2))
+        peaks = places[part[:, :, places.clamp(max=len(own) - 1)].argmax(2)]
+        parts.append((torch.arange(len(own)) >= peaks[:, :, None]).sum(1) % macros)
+    return torch.cat(parts, 1)
+
+
+def uniform_cuts(
+    lengths: Int64[Tensor, " trajectories"], macros: int, max_transitions: int
+) -> Int64[Tensor, "1 frames"]:
+    """S cuts at equal distances in every trajectory, macro-actions in turn from the first."""
+    parts = [torch.arange(length) * (max_transitions + 1) // length % macros for length in lengths.tolist()]
+    return torch.cat(parts)[None]
+
+
+def action_events(
+    actions: Int64[Tensor, " frames"],
+    lengths: Int64[Tensor, " trajectories"],
+    restarts: int,
+    macros: int,
+    max_transitions: int,
+    generator: torch.Generator,
+) -> Int64[Tensor, "restarts frames"]:
+    """Clusters and cuts by what is done: actions that are taken seldom, like a grasp, make or end a subtask.
+
+    Every restart draws some actions, the rarer the likelier (the first two take the rarest Q - 1). In
+    turn, one gives each of Q - 1 of them a macro-action of its own, in the bounded segmentation that agrees
+    best with the share of each in a window of frames (one frame wide at first, then drawn); the next begins
+    another macro-action after each occurrence of one of up to Q of them, S times at most.
+    """
+    actions = actions.cpu()
+    counts = actions.bincount()
+    rarity = torch.where(counts > 0, 1 / counts.clamp(min=1), 0.0)
+    others = int((counts > 0).sum()) - 1
+    if others == 0 or macros == 1 or restarts == 0:
+        return torch.zeros(restarts, len(actions), dtype=torch.int64)
+    starts = []
+    for restart in range(restarts):
+        during, first = restart % 2 == 0, restart < 2
+        most = min(macros - 1 if during or first else macros, others)
+        size = most if during or first else 1 + int(torch.randint(most, (1,), generator=generator))
+        drawn = rarity.topk(size).indices if first else torch.multinomial(rarity, size, generator=generator)
+        if during:
+            longest = max(float(lengths.float().mean()) / (max_transitions + 1), 1.0)
+            exponent = 0.0 if first else float(torch.rand(1, generator=generator))
+            window = int(longest**exponent) // 2 * 2 + 1
+            starts.append(_during(actions, lengths, drawn, macros, max_transitions, window))
+        else:
+            starts.append(_after(actions, lengths, drawn, macros, max_transitions))
+    return torch.stack(starts)
+
+
+def _during(
+    actions: Tensor, lengths: Tensor, drawn: Tensor, macros: int, max_transitions: int, window: int
+) -> Int64[Tensor, " frames"]:
+    """Macro-actions 1, 2, ... where the drawn actions are taken most, 0 elsewhere."""
+    macro_of = torch.zeros(int(actions.max()) + 1, dtype=torch.int64)
+    macro_of[drawn] = torch.arange(1, len(drawn) + 1)
+    taken = torch.nn.functional.one_hot(macro_of[actions], macros).double()
+    weighted = taken / taken.sum(0).clamp(min=1)
+    shares = [
+        torch.nn.functional.avg_pool1d(part.T[None], window, 1, window // 2, count_include_pad=False)[0].T
+        for part in weighted.split(lengths.tolist())
+    ]
+    return segment(-torch.cat(shares), lengths, max_transitions).labels
+
+
+def _after(
+    actions: Tensor, lengths: Tensor, drawn: Tensor, macros: int, max_transitions: int
+) -> Int64[Tensor, " frames"]:
+    """The next macro-action in turn after every stretch of a drawn action."""
+    parts = []
+    for part in actions.split(lengths.tolist()):
+        event = torch.isin(part, drawn)
+        ends = event[:-1] & ~(event[1:] & (part[1:] == part[:-1]))
+        over = torch.nn.functional.pad(ends.long(), (1, 0)).cumsum(0)
+        parts.append(over.clamp(max=max_transitions) % macros)
+    return torch.cat(parts)

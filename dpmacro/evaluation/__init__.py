@@ -1,0 +1,1 @@
+"""Policies run in a world: success rates, reports and videos."""

@@ -1,0 +1,93 @@
+"""What a number of runs amounts to: text for people, LeRobot's `eval_info.json`, TensorBoard scalars."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from torch.utils.tensorboard import SummaryWriter
+
+from dpmacro.evaluation.rollouts import NO_MACRO, Episode
+from dpmacro.metrics.success import SuccessSummary
+from dpmacro.worlds.two_flags.diagnosis import blue_step, first_change
+
+__all__ = ["eval_info", "run_text", "write_scalars"]
+
+
+def run_text(summary: SuccessSummary, seconds: float, causes: Sequence[str], loops: int) -> str:
+    """The result for people; `loops` is the number of runs that were seen to repeat themselves."""
+    low, high = summary.interval
+    lines = [
+        f"successes   {summary.successes} of {summary.runs} runs",
+        f"rate        {summary.rate:.1%}, 95% Wilson interval {low:.1%} to {high:.1%}",
+        f"time        {seconds:.1f} s, {seconds / summary.runs:.2f} s a run",
+        f"failures    {summary.runs - summary.successes}",
+    ]
+    for (outcome, phase, macro), count in summary.endings.items():
+        doing = "" if macro == NO_MACRO else f", macro-action {macro}"
+        lines.append(f"{count:>7}     {outcome.replace('_', ' '):<20} in phase {phase}{doing}")
+    if summary.endings:
+        lines.append("causes")
+    for cause, count in Counter(filter(None, causes)).most_common():
+        lines.append(f"{count:>7}     {cause.replace('_', ' ')}")
+    if loops:
+        lines.append(f"loops       {loops} of the failures repeat themselves for ever")
+    return "\n".join(lines)
+
+
+def eval_info(
+    world: str,
+    episodes: Sequence[Episode],
+    summary: SuccessSummary,
+    causes: Sequence[str],
+    seconds: float,
+    videos: Sequence[str],
+) -> dict[str, Any]:
+    """Results in the form of LeRobot's eval_info.json, with a section of our own.
+
+    `world` is the name of the task. In our section `causes` are "" for a success; `blue_steps` and
+    `first_changes`, of the macro-action, may be null.
+    """
+    sums = [episode.reward for episode in episodes]
+    largest = [float(episode.rewards.max()) for episode in episodes]
+    group = {
+        "avg_sum_reward": sum(sums) / len(sums),
+        "avg_max_reward": sum(largest) / len(largest),
+        "pc_success": 100 * summary.rate,
+        "n_episodes": len(episodes),
+        "video_paths": list(videos),
+    }
+    metrics = {
+        "sum_rewards": sums,
+        "max_rewards": largest,
+        "successes": [episode.success for episode in episodes],
+        "video_paths": list(videos),
+    }
+    return {
+        "per_task": [{"task_group": world, "task_id": 0, "metrics": metrics}],
+        "per_group": {world: group},
+        "overall": {**group, "eval_s": seconds, "eval_ep_s": seconds / len(episodes)},
+        "dpmacro": {
+            "seeds": [episode.seed for episode in episodes],
+            "outcomes": [episode.outcome for episode in episodes],
+            "steps": [episode.steps for episode in episodes],
+            "loops": [episode.loop for episode in episodes],
+            "causes": list(causes),
+            "blue_steps": [blue_step(episode) for episode in episodes],
+            "first_changes": [first_change(episode) for episode in episodes],
+            "last_macros": [int(episode.macros[-1]) for episode in episodes],
+            "interval_95": list(summary.interval),
+            "failures": [
+                {"outcome": outcome, "phase": phase, "macro": macro, "runs": runs}
+                for (outcome, phase, macro), runs in summary.endings.items()
+            ],
+        },
+    }
+
+
+def write_scalars(overall: Mapping[str, Any], folder: Path) -> None:
+    """The overall numbers as TensorBoard scalars, eval/pc_success and the like."""
+    with SummaryWriter(str(folder)) as writer:
+        for name, value in overall.items():
+            if name != "video_paths":
+                writer.add_scalar(f"eval/{name}", value, 0)

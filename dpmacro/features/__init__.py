@@ -1,0 +1,1 @@
+"""Observations to feature columns, and columns to sorted levels."""

@@ -1,0 +1,1 @@
+"""Macro-labels from per-frame costs under a strict bound on transitions, and what segments are."""

@@ -1,0 +1,98 @@
+"""How sure a segmentation is: the cheapest path through every label of every frame.
+
+A forward and a backward pass of the segmentation's recursion meet at frame n. With F_s(n, q) the least cost
+of frames 1..n that end in q with at most s transitions, and B_s(n, q) that of frames n..N that begin in q,
+
+    V(n, q) = min_{s = 0..S} F'_s(n, q) + B'_{S-s}(n, q)
+    F'_s(n, q) = min( F_s(n-1, q), min_{q'} [F_{s-1}(n-1, q') + T_n(q', q)] ), B' likewise with n+1,
+
+is the least cost of all other frames when frame n has label q, and V + c the least cost of any path through q
+there (a min-marginal).
+"""
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from dpmacro.segmentation.recursion import blocks_of, check, frames_inside, pad, recursion
+
+__all__ = ["costs_without", "margins"]
+
+
+def margins(
+    costs: Float[Tensor, "frames macros"],
+    lengths: Int64[Tensor, " trajectories"],
+    max_transitions: int,
+    labels: Int64[Tensor, " frames"],
+    transition_costs: Float[Tensor, "frames macros macros"] | None = None,
+) -> Float[Tensor, " frames"]:
+    """What the best path through another label would cost more, for every frame of an optimal segmentation.
+
+    Args and errors are those of `segment`; `labels` is what it returned. 0 or more (up to rounding), in the
+    unit of the costs; infinite with one macro-action, where there is no other label.
+    """
+    marginals = costs + costs_without(costs, lengths, max_transitions, transition_costs=transition_costs)
+    own = torch.nn.functional.one_hot(labels, costs.shape[1]).bool()
+    return marginals.masked_fill(own, torch.inf).amin(1) - marginals[own]
+
+
+def costs_without(
+    costs: Float[Tensor, "frames macros"],
+    lengths: Int64[Tensor, " trajectories"],
+    max_transitions: int,
+    reach: int = 0,
+    transition_costs: Float[Tensor, "frames macros macros"] | None = None,
+) -> Float[Tensor, "frames macros"]:
+    """V_n(q): the least cost of all frames but n and `reach` on either side when n has label q; float64.
+
+    Args and errors are those of `segment`. A transition among the frames left out costs nothing but counts.
+    `reach` of 1 or more goes without transition costs (ValueError).
+    """
+    check(costs, lengths, max_transitions, transition_costs)
+    if reach < 0 or (reach > 0 and transition_costs is not None):
+        raise ValueError(f"reach is {reach}: give 0 or more, and 0 with transition costs")
+    lengths = lengths.cpu()
+    parts = []
+    for frames, part in blocks_of(costs, lengths):
+        changes = None if transition_costs is None else transition_costs[frames].double()
+        parts.append(_costs_without(costs[frames].double(), part, max_transitions, reach, changes))
+    return torch.cat(parts)
+
+
+def _costs_without(
+    costs: Tensor, lengths: Tensor, max_transitions: int, reach: int, changes: Tensor | None
+) -> Float[Tensor, "frames macros"]:
+    inside = frames_inside(lengths).to(costs.device)
+    ends = lengths.cumsum(0)
+    mirrored = (2 * ends - lengths - 1).repeat_interleave(lengths) - torch.arange(int(ends[-1]))
+    mirrored = mirrored.to(costs.device)
+    backwards = None
+    if changes is not None:
+        # Walked backwards, frame n-1 is the first after the change that frame n begins.
+        backwards = changes.roll(-1, 0).transpose(1, 2)[mirrored]
+    before = _arrivals(costs, inside, max_transitions, reach, changes)
+    after = _arrivals(costs[mirrored], inside, max_transitions, reach, backwards)[:, mirrored]
+    return (before + after.flip(0)).amin(0)
+
+
+def _arrivals(
+    costs: Tensor, inside: Tensor, max_transitions: int, reach: int, changes: Tensor | None
+) -> Float[Tensor, "bounds frames macros"]:
+    """F'_s(n, q): the least cost of the frames before n - reach, at most s transitions up to n."""
+    transitions = None if changes is None else pad(changes, inside)
+    best, _ = recursion(pad(costs, inside).cumsum(2), max_transitions, transitions)
+    gap = reach + 1
+    earlier = torch.nn.functional.pad(best, (gap, 0))[..., : best.shape[3]]  # nothing before costs nothing
+    moved = earlier[:-1]
+    if transitions is None:
+        moved = moved.amin(2, keepdim=True)
+    else:
+        moved = (moved[:, :, :, None] + transitions).masked_fill(_stays(transitions), torch.inf).amin(2)
+        moved[..., 0] = 0
+    arriving = torch.cat([earlier[:1], torch.minimum(earlier[1:], moved)])
+    return arriving.movedim(3, 2)[:, inside]
+
+
+def _stays(transitions: Tensor) -> Tensor:
+    """True where q' = q, as [macros, macros, 1]."""
+    return torch.eye(transitions.shape[1], dtype=torch.bool, device=transitions.device)[:, :, None]

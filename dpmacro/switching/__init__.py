@@ -1,0 +1,1 @@
+"""Switch functions: when a running policy changes its macro-action."""

@@ -1,0 +1,1 @@
+"""Training: options, trainer, run folder, monitor and DAgger."""

@@ -1,0 +1,111 @@
+"""Demonstrations of what a planner runs into: it drives, the teacher says what it would do (DAgger).
+
+Ross, Gordon, Bagnell 2011: a planner trained on a teacher's runs alone never saw what its own mistakes lead
+to. Here it drives and every frame is labelled with the teacher's action. Where the planner turns in circles
+for ever, the teacher takes the wheel until the next reward, so that a run has every part of the task in it
+and no part thousands of times.
+"""
+
+import functools
+import json
+from collections.abc import Generator, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from jaxtyping import Bool, Float32, Int64, UInt8
+
+import dpmacro.worlds  # noqa: F401  registers the world
+from dpmacro.evaluation.rollouts import Past, PlannerSource, one_thread
+from dpmacro.policy.policy import MacroPlanner, MacroPolicy
+from dpmacro.utils.processes import spread, stopped
+from dpmacro.worlds.two_flags.teacher import Teacher
+
+__all__ = ["Visit", "gather", "visit"]
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What was seen on one run; frame t holds the observation before step t.
+
+    Attributes:
+        images: what the planner sees.
+        actions: what the teacher would do.
+        phases: of the world.
+        taught: whether the teacher drove.
+        rewards: what step t earned.
+        success: whether the run ended well.
+        agreed: whether the planner did, or would have done, what the teacher would do.
+    """
+
+    images: UInt8[np.ndarray, "frames height width 3"]
+    actions: Int64[np.ndarray, " frames"]
+    phases: Int64[np.ndarray, " frames"]
+    taught: Bool[np.ndarray, " frames"]
+    rewards: Float32[np.ndarray, " frames"]
+    success: bool
+    agreed: Bool[np.ndarray, " frames"]
+
+
+def gather(
+    source: PlannerSource, world: Mapping[str, Any], seeds: Iterable[int], workers: int
+) -> Generator[Visit, None, None]:
+    """One run for every seed, in their order, the same for any number of workers.
+
+    Args:
+        source: the policy that drives; its recovery stays off, so that circles are noticed.
+        world: {"id": of a registered world that has a teacher, **its options}.
+        seeds: one a run.
+        workers: processes, 1 or more.
+    """
+    yield from spread(functools.partial(visit, source, world), seeds, workers)
+
+
+def visit(source: PlannerSource, world: Mapping[str, Any], seed: int) -> Visit:
+    """One run, in this process."""
+    with one_thread():
+        return _visit(*_stage(source, json.dumps(world)), seed)
+
+
+def _visit(env: gym.Env, planner: MacroPlanner, teacher: Teacher, seed: int) -> Visit:
+    observation, info = env.reset(seed=seed)
+    planner.reset(env)
+    teacher.reset(env)
+    images, actions, phases, taught, rewards, agreed = [], [], [], [], [], []
+    teaching, ended, past = False, False, Past()
+    past.visit(info, planner)
+    while not ended and not stopped():
+        wanted, chosen = teacher.act(observation, info), planner.act(observation, info)
+        if teaching:
+            planner.took(wanted)
+        images.append(observation["pixels"])
+        phases.append(info["phase"])
+        actions.append(wanted)
+        agreed.append(wanted == chosen)
+        taught.append(teaching)
+        observation, reward, terminated, truncated, info = env.step(wanted if teaching else chosen)
+        rewards.append(reward)
+        ended = bool(terminated or truncated)
+        if reward > 0 and teaching:
+            teaching, past = False, Past()
+        if past.visit(info, teacher if teaching else planner):
+            ended = ended or teaching  # the teacher turns in circles, too
+            teaching, past = True, Past()
+    return Visit(
+        images=np.stack(images),
+        actions=np.array(actions, np.int64),
+        phases=np.array(phases, np.int64),
+        taught=np.array(taught),
+        rewards=np.array(rewards, np.float32),
+        success=bool(info["is_success"]),
+        agreed=np.array(agreed),
+    )
+
+
+@functools.cache
+def _stage(source: PlannerSource, world: str) -> tuple[gym.Env, MacroPlanner, Teacher]:
+    """One world, given as JSON, and planner a process, for one run after another."""
+    options = json.loads(world)
+    assert source.path is not None, "the teacher has nothing to learn from itself"
+    return gym.make(options.pop("id"), **options), MacroPolicy.load(source.path).planner(False), Teacher()

@@ -1,0 +1,77 @@
+"""The weak learners that the options ask for: of the strong classifiers, and of the switch functions."""
+
+import torch
+from jaxtyping import Int64, UInt8
+from torch import Tensor
+
+from dpmacro.boosting.learners.base import WeakLearner
+from dpmacro.boosting.learners.convnet import ConvNetLearner
+from dpmacro.boosting.learners.ensemble import InTurn
+from dpmacro.boosting.learners.stumps import StumpLearner
+from dpmacro.features.base import FeatureSet, frames_before
+from dpmacro.features.columns import with_mirror_images
+from dpmacro.features.levels import SortedLevels
+from dpmacro.features.quantising import Quantiser
+from dpmacro.training.options import PlannerOptions
+
+__all__ = ["WeakLearners", "rounds_of", "shrinkage_of"]
+
+
+def rounds_of(planner: PlannerOptions, kind: str, rounds: int) -> int:
+    """Boosting rounds in all of a learner of that kind, where stumps have `rounds`."""
+    networks = planner.convnet.rounds
+    return {"stumps": rounds, "convnet": networks, "mixed": rounds + networks}[kind]
+
+
+def shrinkage_of(planner: PlannerOptions, kind: str, shrinkage: float) -> float:
+    """Shrinkage of a learner of that kind, where stumps have `shrinkage`."""
+    return planner.convnet.shrinkage if kind == "convnet" else shrinkage
+
+
+class WeakLearners:
+    """Makes weak learners of a set of frames.
+
+    Args:
+        planner: which kinds, and how many columns a round searches.
+        images, lengths: the frames, for networks and mirror images.
+        drawn: how many columns a round of the strong classifiers may search, 0 for all (see `Plan`).
+    """
+
+    def __init__(
+        self,
+        planner: PlannerOptions,
+        images: UInt8[Tensor, "frames height width 3"],
+        lengths: Int64[Tensor, " trajectories"],
+        drawn: int,
+    ) -> None:
+        self._planner = planner
+        self._images = images
+        self._lengths = lengths
+        self._drawn = drawn
+
+    def for_classifiers(self, data: SortedLevels) -> WeakLearner:
+        """The weak learner of the strong classifiers."""
+        planner = self._planner
+        drawn = planner.drawn or self._drawn
+        stumps = StumpLearner(data, min(drawn, self._drawn or drawn), planner.reuse)
+        return self._of_kind(planner.learner, planner.rounds, stumps, False)
+
+    def for_switches(
+        self, data: SortedLevels, features: FeatureSet, quantiser: Quantiser, mirror: bool
+    ) -> WeakLearner:
+        """The weak learner of the switch functions; with `mirror` it holds mirror images after the frames."""
+        planner = self._planner
+        if mirror and planner.switch_learner != "convnet":  # which looks at images alone
+            data = with_mirror_images(data, self._images, self._lengths, features, quantiser)
+        stumps = StumpLearner(data, planner.switch_drawn)
+        return self._of_kind(planner.switch_learner, planner.switch_rounds, stumps, mirror)
+
+    def _of_kind(self, kind: str, rounds: int, stumps: StumpLearner, mirror: bool) -> WeakLearner:
+        """The learner of that name; a mixed one turns to networks after `rounds`."""
+        if kind == "stumps":
+            return stumps
+        images, before = self._images, frames_before(self._lengths.to(self._images.device))
+        if mirror:
+            images, before = torch.cat([images, images.flip(2)]), torch.cat([before, before + len(before)])
+        networks = ConvNetLearner(images, before, epochs=self._planner.convnet.epochs)
+        return networks if kind == "convnet" else InTurn(stumps, rounds, networks)

@@ -1,0 +1,1 @@
+"""Command lines, files, processes and interrupts: what every part may use."""

@@ -1,0 +1,226 @@
+"""A trained policy finds its own labels again, and says how sure it is of them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from segmented import random_demonstrations, random_policy
+
+from dpmacro.annotation import annotate as annotation
+from dpmacro.annotation.annotate import annotate
+from dpmacro.boosting.learners.base import Frames
+from dpmacro.boosting.learners.stumps import StumpLearner
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.discovery.alternation import Alternated
+from dpmacro.discovery.candidates import Task, judge
+from dpmacro.discovery.dpboost import DPBoost
+from dpmacro.discovery.joint import change_log_odds
+from dpmacro.discovery.result import Search
+from dpmacro.features.base import make_features, previous_images
+from dpmacro.features.columns import Plan, prepare
+from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.policy import MacroPolicy
+from dpmacro.segmentation.recursion import transition_counts
+from dpmacro.switching.training import SwitchSettings, fit_switches
+
+SHAPE = (6, 8)
+LENGTHS = np.array([40, 25, 35])
+NAMES = ("forward", "left", "right", "never seen")
+
+
+def noise_with_a_rule(seed=0):
+    """The left half of an image decides before a hidden change, the right half after it."""
+    rng = np.random.default_rng(seed)
+    images = rng.integers(0, 256, (LENGTHS.sum(), *SHAPE, 3), np.uint8)
+    bright = rng.integers(0, 2, (LENGTHS.sum(), 2))
+    images[:, :, :4] = images[:, :, :4] // 2 + 128 * bright[:, :1, None, None].astype(np.uint8)
+    images[:, :, 4:] = images[:, :, 4:] // 2 + 128 * bright[:, 1:, None, None].astype(np.uint8)
+    rule = np.concatenate([np.arange(length) >= length // 2 for length in LENGTHS]).astype(int)
+    actions = bright[np.arange(len(rule)), rule] + rule
+    return Demonstrations(images, actions, LENGTHS, NAMES, 10, None, {}, Path("data/some"))
+
+
+def train(demonstrations, macros=2, bound=1, truth=None, **options):
+    """A policy and what it was trained with; the fit starts from the `truth` where it is given."""
+    generator = torch.Generator().manual_seed(0)
+    features = make_features("rectangles", *SHAPE, 60, generator)
+    images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
+    plan = Plan(features.count, features.count, 0, 0.0)
+    features, quantiser, data = prepare(images, lengths, features, plan, generator)
+    chosen = {"rounds": 15, "restarts": 4, "discovery_rounds": 20, "warmup": 5, "shrinkage": 0.3, **options}
+    actions, search = torch.from_numpy(demonstrations.actions), None
+    if truth is not None:
+        groups = torch.arange(len(lengths))
+        task = Task(actions, lengths, groups, int(actions.max()) + 1, macros, bound, seed=0)
+        judged = judge(data, task, truth[None])
+        search = Search(task, Alternated(truth[None], torch.zeros(1, 1)), tuple(judged), 0)
+    found = DPBoost(macros, bound, **chosen).fit(data, actions, lengths, search=search)
+    switches = fit_switches(StumpLearner(data), found.labels, lengths, generator, SwitchSettings(rounds=20))
+    config = PolicyConfig(
+        "dpboost",
+        found.macros,
+        0,
+        NAMES,
+        SHAPE,
+        "rectangles",
+        tuple(switches.pairs),
+        tuple(switches.thresholds.tolist()),
+        max_transitions=bound,
+        switch_weight=found.switch_weight,
+        change_log_odds=tuple(map(tuple, change_log_odds(found.labels, lengths, found.macros).tolist())),
+    )
+    return MacroPolicy.compact(config, features, quantiser, found.classifiers, switches.classifier), found
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """From the actions alone."""
+    demonstrations = noise_with_a_rule()
+    policy, found = train(demonstrations, switch_weight=0.0)
+    return policy, demonstrations, found
+
+
+def test_the_labels_are_those_of_the_training(trained):
+    policy, demonstrations, found = trained
+    seen = annotate(policy, demonstrations)
+    assert found.macros == 2 and torch.equal(seen.labels, found.labels)
+    assert float(seen.cost_by_bound[:, -1].sum()) / len(found.labels) == pytest.approx(
+        float(found.loss[-1]), rel=1e-4
+    )
+    assert seen.cost_by_bound.shape == (3, 2)
+
+
+def test_the_labels_are_those_of_the_training_where_switch_costs_joined():
+    """Frames are lit from above for three frames from the change on; one action in five is wrong."""
+    rng = np.random.default_rng(0)
+    n, length = 10, 60
+    since = np.tile(np.arange(length), n) - rng.integers(20, 40, n).repeat(length)
+    rule, lit = (since >= 0).astype(np.int64), (since >= 0) & (since < 3)
+    bright = rng.integers(0, 2, (n * length, 2))
+    images = rng.integers(0, 64, (n * length, *SHAPE, 3), np.uint8)
+    images += 96 * bright.repeat(4, axis=1)[:, None, :, None].astype(np.uint8)
+    images[lit, :2] = 255
+    wrong = rng.random(n * length) < 0.2
+    actions = np.where(wrong, 1 - bright[:, 0], bright[np.arange(n * length), rule])
+    demonstrations = Demonstrations(
+        images, actions, np.full(n, length), NAMES, 10, None, {}, Path("data/some")
+    )
+    policy, found = train(demonstrations, truth=torch.from_numpy(rule), switch_weight=1.0, rounds=60)
+    if not (found.search.kept.verdict.runnable and np.array_equal(found.labels, rule)):
+        raise RuntimeError("the switch costs should have kept the truth")
+    assert found.switch_weight == 1.0
+    assert torch.equal(annotate(policy, demonstrations).labels, found.labels)
+    by_actions = replace(policy, config=replace(policy.config, switch_weight=0.0))
+    assert not torch.equal(annotate(by_actions, demonstrations).labels, found.labels)
+
+
+def test_an_annotation_survives_files_and_does_not_depend_on_the_portion(trained, tmp_path, monkeypatch):
+    policy, demonstrations, _ = trained
+    seen = annotate(policy, demonstrations)
+    policy.save(tmp_path)
+    monkeypatch.setattr(annotation, "CHUNK", 7)  # the first frame of a portion has one before it
+    again = annotate(MacroPolicy.load(tmp_path), demonstrations)
+    assert torch.equal(again.labels, seen.labels)
+    torch.testing.assert_close(again.confidence, seen.confidence)
+    torch.testing.assert_close(again.cost_by_bound, seen.cost_by_bound)
+
+
+def test_costs_are_those_of_the_classifiers_at_every_image_and_the_one_before(monkeypatch):
+    """Under a bound of 0 a trajectory has the macro-action that is cheapest throughout."""
+    monkeypatch.setattr(annotation, "CHUNK", 5)
+    policy, demonstrations = random_policy(), random_demonstrations()
+    images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
+    levels = policy.quantiser.levels(policy.features.values(images, previous_images(images, lengths)))
+    right = torch.nn.functional.one_hot(torch.from_numpy(demonstrations.actions), 3) == 1
+    scores = policy.actor.scores(Frames(levels)).double()
+    costs = torch.where(right[:, None], -scores, scores).exp().sum(2)
+    wanted = torch.stack([part.sum(0) for part in costs.split(lengths.tolist())])
+    seen = annotate(policy, demonstrations, 0)
+    torch.testing.assert_close(seen.cost_by_bound[:, 0], wanted.amin(1), rtol=1e-5, atol=1e-5)
+    assert torch.equal(seen.labels, wanted.argmin(1).repeat_interleave(lengths))
+
+
+def test_trajectories_do_not_see_one_another(trained):
+    policy, demonstrations, _ = trained
+    together = annotate(policy, demonstrations)
+    alone = annotate(policy, demonstrations.select([1]))
+    assert torch.equal(alone.labels, together.labels[40:65])
+    torch.testing.assert_close(alone.confidence, together.confidence[40:65])
+
+
+def test_confidence_is_in_range_and_least_where_the_label_could_be_another(trained):
+    policy, demonstrations, _ = trained
+    seen = annotate(policy, demonstrations)
+    assert seen.confidence.dtype == torch.float32 and seen.confidence.shape == seen.labels.shape
+    assert bool((seen.confidence >= 0).all()) and bool((seen.confidence <= 1).all())
+    changes = seen.labels.diff().nonzero()[:, 0]
+    beside = torch.cat([changes, changes + 1])
+    assert float(seen.confidence[beside].mean()) < float(seen.confidence.mean())
+
+
+@pytest.mark.parametrize("bound", [0, 1, 5])
+def test_a_bound_of_ones_own(trained, bound):
+    policy, demonstrations, _ = trained
+    seen = annotate(policy, demonstrations, bound)
+    lengths = torch.from_numpy(LENGTHS)
+    assert bool((transition_counts(seen.labels, lengths) <= bound).all())
+    assert seen.cost_by_bound.shape == (3, bound + 1)
+    default = annotate(policy, demonstrations).cost_by_bound
+    shared = min(bound, 1) + 1
+    torch.testing.assert_close(seen.cost_by_bound[:, :shared], default[:, :shared])
+
+
+@pytest.mark.parametrize(("macros", "given", "bound"), [(2, None, 1), (2, 0, 0), (2, 4, 4)])
+def test_the_default_bound_is_that_of_the_policy(trained, macros, given, bound):
+    policy, demonstrations, _ = trained
+    changed = replace(policy, config=replace(policy.config, macros=macros, max_transitions=given))
+    assert annotate(changed, demonstrations).cost_by_bound.shape == (3, bound + 1)
+
+
+@pytest.mark.parametrize("names", [("0", "1", "2"), ("0", "1", "2", "3")])
+def test_actions_without_names_are_the_first_of_the_policys(trained, names):
+    policy, demonstrations, _ = trained
+    alike = annotate(policy, replace(demonstrations, action_names=names))
+    assert torch.equal(alike.labels, annotate(policy, demonstrations).labels)
+
+
+def test_a_baseline_is_sure_of_its_only_label():
+    demonstrations = noise_with_a_rule()
+    policy, _ = train(demonstrations, macros=1, bound=0)
+    seen = annotate(policy, demonstrations)
+    assert not seen.labels.any() and bool((seen.confidence == 1).all())
+
+
+@pytest.mark.parametrize(
+    ("change", "bound", "message"),
+    [
+        (
+            {"images": np.zeros((100, 48, 64, 3), np.uint8)},
+            None,
+            r"data/some has images of 64x48: the policy was trained on 8x6",
+        ),
+        (
+            {"action_names": ("up", "down")},
+            None,
+            r"data/some has the actions up, down: the policy knows forward, left, right, never seen",
+        ),
+        (
+            {"action_names": (*NAMES[1:], NAMES[0])},
+            None,
+            r"data/some has the actions left, right, never seen, forward: the policy knows forward, ",
+        ),
+        (
+            {"action_names": ("0", "1", "2", "3", "4")},
+            None,
+            r"data/some has the actions 0, 1, 2, 3, 4: the policy knows forward",
+        ),
+        ({}, -1, "max_transitions is -1"),
+    ],
+)
+def test_what_does_not_fit_is_named_in_a_line(trained, change, bound, message):
+    policy, demonstrations, _ = trained
+    with pytest.raises(ValueError, match=message) as error:
+        annotate(policy, replace(demonstrations, **change), bound)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,75 @@
+"""The files of a report, read back."""
+
+import json
+
+import matplotlib.image
+import pytest
+from segmented import some_findings
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from dpmacro.annotation.pictures import pictures
+from dpmacro.annotation.report import score_text, write_report
+from dpmacro.annotation.summary import SCORES
+from tests.annotation.test_html import Reader
+
+NAMES = {"segmentation", "transitions", "elbow", "pixels"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    findings = some_findings()
+    write_report(findings, pictures(findings, 2), folder)
+    return folder
+
+
+def test_the_page_shows_every_picture_and_score(folder):
+    document = (folder / "segmentation.html").read_text(encoding="utf-8")
+    reader = Reader(document)
+    text = "".join(reader.texts)
+    assert "Segmentation of noise & more" in text and "runs/<one>" in text
+    assert "The first 2 of 3." in text
+    assert all(name in text for name in SCORES.values())
+    assert "turn <left>" in text or "forward" in text or "turn right" in text
+    images = reader.of("img")
+    assert len(images) == 6 and all(image["alt"] for image in images)
+    assert all(image["src"].startswith("data:image/png;base64,") for image in images)
+    headings = [tag for tag, _ in reader.elements].count("h2")
+    assert headings == 8  # scores, macro-actions, where to look, five kinds of pictures
+
+
+def test_the_least_sure_demonstration_comes_first(folder):
+    text = "".join(Reader((folder / "segmentation.html").read_text()).texts)
+    table = text[text.index("Where to look first") : text.index("All demonstrations")]
+    assert table.index("7720.25100.0%") < table.index("4122") < table.index("592")
+
+
+def test_pictures_numbers_and_events(folder):
+    names = {path.stem for path in (folder / "figures").iterdir()}
+    assert names == {*NAMES, "demonstration_004", "demonstration_007"}
+    for path in (folder / "figures").iterdir():
+        assert matplotlib.image.imread(path).std() > 0.05
+    summary = json.loads((folder / "segmentation.json").read_text())
+    assert summary["scores"]["policy"]["accuracy"] == 1 and summary["policy"] == "runs/<one>"
+    assert summary["demonstrations"][0]["segments"] == [[2, 0, 6], [0, 6, 12]]
+    events = EventAccumulator(str(folder / "tensorboard")).Reload()
+    assert {f"figures/{name}" for name in names} == set(events.Tags()["images"])
+    assert events.Scalars("segmentation/accuracy")[0].value == 1
+    assert events.Scalars("segmentation/random_cuts/accuracy")[0].value < 1
+    assert len(events.Tags()["scalars"]) == 3 * len(SCORES)
+    assert not list(folder.rglob(".*")), "no temporary file stays"
+
+
+def test_without_truth_or_stumps_the_page_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr("dpmacro.annotation.report.chosen_pixels", lambda policy: None)
+    findings = some_findings(truth=False)
+    write_report(findings, iter([]), tmp_path)
+    text = "".join(Reader((tmp_path / "segmentation.html").read_text()).texts)
+    assert "no column of true labels" in text and "no map of chosen pixels" in text
+
+
+def test_scores_stand_in_columns():
+    lines = score_text(some_findings()).splitlines()
+    assert lines[0].split("   ")[-1].strip() == "random cuts" and len({len(line) for line in lines}) == 1
+    assert lines[1].startswith("frames that agree") and lines[1].split()[3] == "1.000"
+    assert lines[-1].split() == ["true", "segments", "6", "6", "6"]

@@ -1,0 +1,60 @@
+"""Sorted columns against a plain count of every level."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dpmacro.features.levels import SortedLevels
+
+DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+
+
+def bins_of(data, size):
+    """{column: {level: frames}} as the chunks list them; the fullest bin as None."""
+    found, column = {}, 0
+    for chunk in data.chunks(size):
+        starts = [*chunk.starts.flatten().tolist(), len(chunk.order)]
+        width = chunk.starts.shape[1]
+        for k in range(len(chunk.starts)):
+            bags = range(k * width, (k + 1) * width)
+            lists = [chunk.order[starts[b] : starts[b + 1]].tolist() for b in bags]
+            count = int(data.counts[column])
+            assert not any(lists[count:]), "a bin that the column lacks lists frames"
+            bins = dict(zip(chunk.thresholds[k, :count].tolist(), lists[:count], strict=True))
+            full = int(chunk.thresholds[k, chunk.fullest[k]])
+            assert bins[full] == []
+            bins[full] = None
+            found[int(data.columns[column])] = bins
+            column += 1
+    return found
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 2**16),
+    n_columns=st.integers(1, 150),
+    n_frames=st.integers(1, 60),
+    n_levels=st.sampled_from([1, 3, 256]),
+    size=st.sampled_from([1, 7, 128]),
+)
+def test_every_frame_is_listed_once_in_the_bin_of_its_level(
+    device, seed, n_columns, n_frames, n_levels, size
+):
+    levels = np.random.default_rng(seed).integers(0, n_levels, (n_columns, n_frames)).astype(np.uint8)
+    data = SortedLevels.build(torch.tensor(levels, device=device))
+    for column, bins in bins_of(data, size).items():
+        expected = {level: np.flatnonzero(levels[column] == level).tolist() for level in set(levels[column])}
+        full = max(expected, key=lambda level: (len(expected[level]), -int(level)))
+        assert list(bins) == sorted(expected)
+        assert bins == {**expected, full: None}
+
+
+def test_taken_columns_are_the_same_sorted_before_or_then():
+    levels = torch.randint(0, 256, (90, 50), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    columns = torch.tensor([3, 4, 40, 89])
+    whole = bins_of(SortedLevels.build(levels), 16)
+    for data in (SortedLevels.build(levels), SortedLevels.unsorted(levels)):
+        assert bins_of(data.take(columns), 3) == {int(column): whole[int(column)] for column in columns}

@@ -1,0 +1,337 @@
+"""eval.py as a user runs it: in this process where that will do, as a command where processes matter."""
+
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import av
+import pytest
+import torch
+from noise import random_episodes
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from dpmacro.boosting.learners.stumps import StumpClassifier
+from dpmacro.data.lerobot.writer import DemonstrationWriter
+from dpmacro.evaluation.rollouts import OUTCOMES
+from dpmacro.features.base import Pixels
+from dpmacro.features.quantising import Quantiser
+from dpmacro.metrics.success import wilson_interval
+from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.policy import MacroPolicy
+from dpmacro.utils import cli
+from dpmacro.worlds.two_flags.env import ACTIONS
+
+SCRIPT = Path(__file__).parents[2] / "eval.py"
+WORLD = {"id": "TwoFlags-v0", "flags": "fixed", "layout_seed": 3, "max_steps": 60, "render_size": [64, 48]}
+SHORT = ["--world.max_steps=60", "--world.render_size=[64,48]"]
+
+
+@pytest.fixture(scope="module")
+def script():
+    spec = importlib.util.spec_from_file_location("eval_script", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def random_policy(world):
+    """A policy that acts at random stumps' word and switches from macro-action 0 to 1 at some time."""
+    generator = torch.Generator().manual_seed(0)
+
+    def stumps(problems, classes):
+        return StumpClassifier(
+            torch.randint(18432, (4, problems), generator=generator),
+            torch.randint(256, (4, problems), generator=generator).to(torch.uint8),
+            torch.randn(4, problems, 2, classes, generator=generator),
+        )
+
+    config = PolicyConfig(
+        "dpboost", 2, 0, ACTIONS, (48, 64), "pixels", switches=((0, 1),), thresholds=(0.0,), world=world
+    )
+    cuts = torch.arange(255, dtype=torch.int32).repeat(18432, 1)
+    return MacroPolicy.compact(config, Pixels.all(48, 64), Quantiser(cuts), stumps(2, 3), stumps(1, 1))
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("policy")
+    random_policy(WORLD).save(folder)
+    return folder
+
+
+def call(script, monkeypatch, *options):
+    monkeypatch.setattr(sys, "argv", ["eval.py", *map(str, options)])
+    cli.run(script.main, script.EvalOptions)
+
+
+def test_the_teacher_as_a_command(tmp_path):
+    options = ["--policy.type=teacher", "--episodes=3", "--seed=7", "--workers=2", "--videos=2", *SHORT]
+    command = [sys.executable, str(SCRIPT), *options, f"--output_dir={tmp_path}"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "successes   0 of 3 runs" in done.stdout
+    low, high = wilson_interval(0, 3)
+    assert "      3     out of time\nwritten to" in done.stdout
+    assert f"0.0%, 95% Wilson interval {low:.1%} to {high:.1%}" in done.stdout
+    assert "3/3" in done.stderr and "success 0%" in done.stderr
+
+    info = json.loads((tmp_path / "eval_info.json").read_text())
+    assert set(info) == {"per_task", "per_group", "overall", "dpmacro"}
+    overall = info["overall"]
+    assert (overall["n_episodes"], overall["pc_success"]) == (3, 0.0)
+    assert overall["eval_ep_s"] == pytest.approx(overall["eval_s"] / 3)
+    assert info["per_task"][0]["metrics"]["successes"] == [False] * 3
+    assert info["per_group"]["TwoFlags-v0"]["video_paths"] == overall["video_paths"]
+    ours = info["dpmacro"]
+    assert ours["seeds"] == [7, 8, 9] and ours["steps"] == [60, 60, 60]
+    assert ours["loops"] == [0, 0, 0] and ours["causes"] == ["out_of_time"] * 3
+    assert ours["blue_steps"] == ours["first_changes"] == [None] * 3 and ours["last_macros"] == [-1] * 3
+    assert set(ours["outcomes"]) <= set(OUTCOMES) and ours["interval_95"] == [low, high]
+    assert ours["world"]["max_steps"] == 60 and ours["world"]["yaw_noise"] == 0.5
+    assert (ours["planner"], ours["policy_path"]) == ("teacher", None)
+
+    assert len(overall["video_paths"]) == 2
+    for path in overall["video_paths"]:
+        with av.open(path) as video:
+            assert sum(1 for _ in video.decode(video=0)) == 60 // 4 + 45
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert events.Scalars("eval/pc_success")[0].value == 0.0
+    assert "eval/avg_sum_reward" in events.Tags()["scalars"]
+
+
+def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tmp_path, monkeypatch, capsys):
+    options = [f"--policy.path={policy}", "--episodes=2", "--world.yaw_noise=0", f"--output_dir={tmp_path}"]
+    call(script, monkeypatch, *options)
+    ours = json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]
+    expected = {**WORLD, "yaw_noise": 0.0, "renderer": "tiny"}
+    assert ours["world"] == expected
+    assert (ours["planner"], ours["policy_path"], ours["recovery"]) == ("dpboost", str(policy), True)
+    assert sum(failure["runs"] for failure in ours["failures"]) == 2
+    assert {failure["macro"] for failure in ours["failures"]} <= {0, 1}
+    assert ", macro-action " in capsys.readouterr().out
+
+    call(script, monkeypatch, *options[:-1], f"--output_dir={tmp_path / 'again'}")
+    again = json.loads((tmp_path / "again" / "eval_info.json").read_text())["dpmacro"]
+    assert again == ours
+
+
+def test_a_run_that_repeats_itself_ends_at_once(script, tmp_path, monkeypatch, capsys):
+    """Red hides blue in this world, and the video, too, ends with the run."""
+    options = [
+        "--policy.type=teacher",
+        "--episodes=1",
+        "--seed=53",
+        "--videos=1",
+        "--world.render_size=[64,48]",
+    ]
+    call(script, monkeypatch, *options, f"--output_dir={tmp_path}")
+    ours = json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]
+    assert (ours["steps"], ours["loops"], ours["causes"]) == ([601], [600], ["spins"])
+    printed = capsys.readouterr().out
+    assert "causes\n      1     spins\nloops       1 of" in printed
+    with av.open(str(tmp_path / "videos" / "TwoFlags-v0_0" / "eval_episode_0.mp4")) as video:
+        assert sum(1 for _ in video.decode(video=0)) == 601 // 4 + 1 + 45
+
+
+def test_a_success_has_no_cause(script, tmp_path, monkeypatch, capsys):
+    options = ["--policy.type=teacher", "--episodes=1", "--seed=17", "--world.render_size=[64,48]"]
+    call(script, monkeypatch, *options, f"--output_dir={tmp_path}")
+    ours = json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]
+    assert ours["causes"] == [""] and 0 < ours["blue_steps"][0] < ours["steps"][0] - 1
+    assert "causes" not in capsys.readouterr().out
+
+
+def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
+    filmed = []
+    monkeypatch.setattr(
+        script, "replay", lambda source, world, seed, every: filmed.append(seed) or (_ for _ in ())
+    )
+    monkeypatch.setattr("dpmacro.evaluation.videos.write_run", lambda path, moments, names: 0)
+    episodes = [
+        script.Episode(
+            seed, outcome, *[torch.zeros(3).numpy().astype(kind) for kind in ("u1", "i1", "i1", "f4")]
+        )
+        for seed, outcome in enumerate(["success", "red_first", "success", "red_never_reached"])
+    ]
+    paths = script.write_videos(None, {}, episodes, 3, tmp_path)
+    assert filmed == [1, 3, 0]
+    assert [Path(path).name for path in paths] == [f"eval_episode_{index}.mp4" for index in (1, 3, 0)]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ([], "give either --policy.path"),
+        (["--policy.type=teacher", "--policy.path=x"], "give either --policy.path"),
+        (["--policy.type=wizard"], "--policy.type=wizard is unknown"),
+        (["--policy.path=nowhere"], "nowhere holds no config.json"),
+        (["--policy.type=teacher", "--episodes=0"], "--episodes=0: it must be at least 1"),
+        (["--policy.type=teacher", "--workers=0"], "--workers=0: it must be at least 1"),
+        (["--policy.type=teacher", "--videos=-1"], "--videos=-1: it must be at least 0"),
+        (["--policy.type=teacher", "--seed=-1"], "--seed=-1: it must be at least 0"),
+        (["--policy.type=teacher", "--episodes=many"], "many"),
+        (["--policy.type=teacher", "--world.flags=none"], "choose 'random' or 'fixed'"),
+        (["--policy.type=teacher", "--world.walls=3"], "unknown option --world.walls"),
+        (["--policy.type=teacher", "--episods=3"], "did you mean --episodes?"),
+        (["--segmentation", "--dataset.root=x"], "give --policy.path alone to --segmentation"),
+        (["--segmentation=true", "--policy.type=teacher"], "give --policy.path alone to --segmentation"),
+        (["--segmentation", "--policy.path=x"], "no demonstrations: give --dataset.root"),
+        (["--segmentation", "--policy.path=x", "--dataset.root=y"], "x holds no config.json"),
+        (
+            ["--segmentation", "--policy.path=x", "--dataset.root=y", "--tolerance=-1"],
+            "--tolerance=-1: it must",
+        ),
+        (["--segmentation=maybe", "--policy.path=x"], "maybe"),
+        (["--policy.type=teacher", "--dataset.root=y"], "--dataset.root=y is for --segmentation"),
+        (["--policy.type=teacher", "--tolerance=3"], "--tolerance=3 is for --segmentation"),
+        (["--policy.type=teacher", "--dataset.mirror=true"], "--dataset.mirror=True is for train.py"),
+        *(
+            (["--segmentation", "--policy.path=x", "--dataset.root=y", option], f"{told} is for")
+            for option, told in {
+                "--episodes=5": "--episodes=5",
+                "--workers=2": "--workers=2",
+                "--videos=1": "--videos=1",
+                "--world.max_steps=9": "--world.max_steps=9",
+                "--policy.recovery=false": "--policy.recovery=False",
+                "--dataset.mirror=true": "--dataset.mirror=True",
+                "--dataset.image_size=[8,6]": "--dataset.image_size=(8, 6)",
+            }.items()
+        ),
+    ],
+)
+def test_bad_options_are_one_line_and_status_2(options, message, script, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'out'}")
+    error = capsys.readouterr().err
+    assert exit_.value.code == 2
+    assert error.startswith("error: ") and error.count("\n") == 1 and message in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("world", "message"),
+    [
+        ({"id": "Maze-v1"}, "policy for the world 'Maze-v1': eval.py runs 'TwoFlags-v0' only"),
+        ({}, "policy for the world None"),
+        ({"id": "TwoFlags-v0", "fog": 0.3}, "with 'fog', which this one lacks"),
+    ],
+)
+def test_a_policy_of_another_world_is_refused(world, message, script, tmp_path, monkeypatch, capsys):
+    random_policy(world).save(tmp_path)
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, f"--policy.path={tmp_path}", "--episodes=1")
+    error = capsys.readouterr().err
+    assert exit_.value.code == 2 and error.count("\n") == 1 and message in error
+
+
+def test_results_outlive_videos_that_are_interrupted(script, tmp_path, monkeypatch):
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(script, "write_videos", interrupted)
+    with pytest.raises(SystemExit):
+        call(
+            script,
+            monkeypatch,
+            "--policy.type=teacher",
+            "--episodes=1",
+            "--videos=1",
+            *SHORT,
+            f"--output_dir={tmp_path}",
+        )
+    info = json.loads((tmp_path / "eval_info.json").read_text())
+    assert len(info["dpmacro"]["outcomes"]) == 1 and info["overall"]["video_paths"] == []
+
+
+def test_results_outlive_a_reader_who_closes_the_pipe(tmp_path):
+    options = ["--policy.type=teacher", "--episodes=1", *SHORT, f"--output_dir={tmp_path}"]
+    command = [sys.executable, "-u", str(SCRIPT), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as running:
+        running.stdout.close()
+        assert running.wait(timeout=60) == 2
+    assert json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]["seeds"] == [10000]
+
+
+def test_a_folder_by_date_ends_in_the_name_whatever_it_holds(script):
+    assert script.default_output_dir("100%Success").name.endswith("_100%Success")
+
+
+def test_results_are_never_overwritten(script, tmp_path, monkeypatch, capsys):
+    (tmp_path / "eval_info.json").write_text("{}")
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, "--policy.type=teacher", f"--output_dir={tmp_path}")
+    assert exit_.value.code == 2 and "already holds an eval_info.json" in capsys.readouterr().err
+    assert (tmp_path / "eval_info.json").read_text() == "{}"
+
+
+def test_a_broken_policy_is_refused(script, policy, tmp_path, monkeypatch, capsys):
+    shutil.copytree(policy, tmp_path / "broken")
+    (tmp_path / "broken" / "model.safetensors").write_bytes(b"no")
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, f"--policy.path={tmp_path / 'broken'}")
+    error = capsys.readouterr().err
+    assert exit_.value.code == 2 and error.count("\n") == 1 and "model.safetensors cannot be read" in error
+
+
+def test_a_mistake_as_a_command(tmp_path):
+    command = [sys.executable, str(SCRIPT), "--policy.type=wizard"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "--policy.type=wizard is unknown" in done.stderr
+
+
+def test_a_segmentation_as_a_command(policy, recorded, tmp_path):
+    options = [f"--policy.path={policy}", f"--dataset.root={recorded}", f"--output_dir={tmp_path}"]
+    command = [sys.executable, str(SCRIPT), "--segmentation", *options, "--tolerance=1"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "uniform cuts" in done.stdout and "frames that agree" in done.stdout
+    assert str(tmp_path / "segmentation.html") in done.stdout and "Pictures: 100%" in done.stderr
+    summary = json.loads((tmp_path / "segmentation.json").read_text())
+    assert [row["frames"] for row in summary["demonstrations"]] == [12, 7, 2, 9]
+    assert (summary["truth"], summary["tolerance"]) == ("phase", 1)
+    assert 0 <= summary["scores"]["policy"]["accuracy"] <= 1
+    assert {f"demonstration_{k:03d}.png" for k in range(4)} <= {
+        path.name for path in (tmp_path / "figures").iterdir()
+    }
+    assert "data:image/png;base64," in (tmp_path / "segmentation.html").read_text()
+
+
+def test_a_segmentation_of_some_episodes(script, policy, recorded, tmp_path, monkeypatch, capsys):
+    options = ["--segmentation", f"--policy.path={policy}", f"--dataset.root={recorded}"]
+    call(script, monkeypatch, *options, "--dataset.episodes=[3,1]", f"--output_dir={tmp_path / 'some'}")
+    summary = json.loads((tmp_path / "some" / "segmentation.json").read_text())
+    assert [row["episode"] for row in summary["demonstrations"]] == [3, 1]
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'some'}")
+    assert exit_.value.code == 2 and "already holds a segmentation.json" in capsys.readouterr().err
+
+
+def test_a_dataset_of_another_size_is_refused(script, policy, tmp_path, monkeypatch, capsys):
+    with DemonstrationWriter.create(tmp_path / "small", ACTIONS, 30, {}, view=False) as writer:
+        for episode in random_episodes(shape=(24, 32, 3)):
+            writer.add_episode(**episode)
+    with pytest.raises(SystemExit) as exit_:
+        options = ["--segmentation", f"--policy.path={policy}", f"--dataset.root={tmp_path / 'small'}"]
+        call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'out'}")
+    error = capsys.readouterr().err
+    assert exit_.value.code == 2 and "images are 32x24, the policy was trained on 64x48" in error
+    assert error.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def test_a_worker_imports_no_torch(script):
+    """It imports the script anew, and a teacher has no use for torch."""
+    code = (
+        "import multiprocessing, sys, importlib.util as u\n"
+        "multiprocessing.process._parent_process = object()\n"
+        f"spec = u.spec_from_file_location('worker', {str(SCRIPT)!r})\n"
+        "module = sys.modules['worker'] = u.module_from_spec(spec)\n"
+        "spec.loader.exec_module(module)\n"
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0

@@ -1,0 +1,421 @@
+"""train.py: from a dataset to a run folder, and one line for every mistake."""
+
+import importlib
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+import train
+from dpmacro.annotation.annotate import annotate
+from dpmacro.boosting.crossfit import FOLDS
+from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.data.images import Sight
+from dpmacro.discovery.candidates import FINALISTS, LEADERS
+from dpmacro.features.base import previous_images
+from dpmacro.features.columns import GIB, Plan
+from dpmacro.metrics import segments
+from dpmacro.policy.policy import MacroPolicy
+from dpmacro.training import trainer as training
+from dpmacro.training.options import DatasetOptions, TrainOptions
+from dpmacro.training.run_folder import RunFolder
+from dpmacro.training.trainer import TABLES
+from dpmacro.utils import cli
+from tests.data.test_demonstrations import SPOILED, root  # noqa: F401  a fixture
+
+SMALL = [  # cut by the actions alone but for `trained`: judging by switch functions takes most of the time
+    "--planner.switch_weight=0",
+    "--planner.rounds=12",
+    "--planner.restarts=4",
+    "--planner.rectangles=150",
+    "--planner.switch_rounds=5",
+]
+JOINT = [*SMALL[1:], "--planner.switch_weight=1"]
+
+
+def call(monkeypatch, *arguments):
+    """Run the script's own path from arguments to exit status in this process."""
+    monkeypatch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
+    cli.run(train.main, TrainOptions)
+
+
+@pytest.fixture(scope="module")
+def trained(recorded, tmp_path_factory) -> Path:
+    """The run folder of a small DPBoost training."""
+    output = tmp_path_factory.mktemp("runs") / "dpboost"
+    with pytest.MonkeyPatch.context() as patch:
+        call(patch, f"--dataset.root={recorded}", f"--output_dir={output}", *JOINT)
+    return output
+
+
+def test_auto_tries_several_numbers_of_macro_actions(recorded, tmp_path, monkeypatch, capsys):
+    choice = ["--planner.macros=auto", "--planner.max_macros=3", f"--output_dir={tmp_path / 'run'}"]
+    small = [option.replace("restarts=4", "restarts=1") for option in SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", *choice, *small)
+    told = capsys.readouterr().out
+    for setting in ("Q=2 S=1", "Q=2 S=2", "Q=3 S=2", "Q=3 S=4"):
+        assert told.count(setting) == 1
+    assert (tmp_path / "run/figures/selection.png").exists()
+    policy = MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model")
+    marked = re.findall(r"Q=(\d) S=(\d) .*<-$", told, re.MULTILINE)
+    if "one macro-action: no other gains anything" in told:
+        assert not marked
+        assert policy.config.macros == 1
+    else:
+        [(macros, bound)] = marked
+        assert policy.config.macros <= int(macros)  # unused ones are pruned
+        assert policy.config.max_transitions <= int(bound)
+
+
+def test_a_run_folder_holds_what_lerobot_users_look_for(trained, recorded):
+    checkpoint = trained / "checkpoints" / "000012"
+    assert (trained / "checkpoints" / "last").resolve() == checkpoint.resolve()
+    options = json.loads((checkpoint / "pretrained_model/train_config.json").read_text())
+    assert options["dataset"]["root"] == str(recorded)
+    assert options["planner"]["rounds"] == 12
+    state = load_file(checkpoint / "training_state/segmentation.safetensors")
+    assert len(state["labels"]) == int(state["lengths"].sum()) == 30
+    pictures = {path.stem for path in (trained / "figures").iterdir()}
+    assert pictures == {"timeline", "segmentation", "objective", "transitions", "pixels", "elbow"}
+    assert not list(trained.rglob(".*")), "no temporary file stays"
+
+
+def test_tensorboard_has_the_quantities_of_every_stage(trained):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(trained / "tensorboard")).Reload()
+    scalars = set(events.Tags()["scalars"])
+    for stage in ("discover", "fit", "switch"):
+        assert {f"loss/{stage}", f"accuracy/{stage}", f"time/{stage}_seconds_per_round"} <= scalars
+    for name in (
+        "label_changes",
+        "mean_segment_frames",
+        "occupancy_0",
+        "occupancy_1",
+        "agreement_with_truth",
+    ):
+        assert f"segmentation/fit/{name}" in scalars
+    assert "selection/causal_loss" in scalars
+    assert any(re.fullmatch(r"switch/detected_\d_to_\d", name) for name in scalars)
+    assert set(events.Tags()["images"]) == {
+        f"figures/{name}"
+        for name in ("timeline", "segmentation", "objective", "transitions", "pixels", "elbow")
+    }
+    assert len(events.Scalars("loss/fit")) == 12
+
+
+def test_the_policy_sees_in_a_run_what_the_trainer_saw(trained, recorded):
+    """Levels of a replayed episode, frame by frame as the planner computes them, equal those of the batch."""
+    policy = MacroPolicy.load(trained / "checkpoints/last/pretrained_model")
+    demonstrations = Demonstrations.load(recorded)
+    images = torch.from_numpy(demonstrations.images)
+    previous = previous_images(images, torch.from_numpy(demonstrations.lengths))
+    batch = policy.quantiser.levels(policy.features.values(images, previous))
+    for trajectory in demonstrations.trajectories:
+        state = policy.initial_state(1)
+        for n in range(trajectory.start, trajectory.stop):
+            before = images[n : n + 1] if state.previous is None else state.previous
+            single = policy.quantiser.levels(policy.features.values(images[n : n + 1], before))
+            assert torch.equal(single[:, 0], batch[:, n])
+            state = policy.act(images[n : n + 1], state)[1]
+
+
+def test_a_seed_repeats_the_policy(trained, recorded, tmp_path, monkeypatch):
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'again'}", *JOINT)
+    first, second = (
+        load_file(folder / "checkpoints/last/pretrained_model/model.safetensors")
+        for folder in (trained, tmp_path / "again")
+    )
+    assert first.keys() == second.keys()
+    assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+@pytest.mark.parametrize("features", ["rectangles", "pixels"])
+def test_the_baseline_is_one_classifier_without_switches(recorded, tmp_path, monkeypatch, features):
+    call(
+        monkeypatch,
+        f"--dataset.root={recorded}",
+        "--planner.type=baseline",
+        f"--planner.features={features}",
+        f"--output_dir={tmp_path / 'run'}",
+        *SMALL,
+    )
+    policy = MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model")
+    assert (policy.config.type, policy.config.macros, policy.config.switches) == ("baseline", 1, ())
+
+
+WAYS = {
+    "convnets": (["--planner.learner=convnet", "--planner.switch_learner=convnet"], {"convnet"}),
+    "stumps first": (["--planner.learner=mixed"], {"stumps", "convnet"}),
+    "few columns a round": (["--planner.drawn=20", "--planner.reuse=3"], {"stumps"}),
+    "early stopping": (["--planner.early_stopping=true"], {"stumps"}),
+}
+
+
+@pytest.mark.parametrize("case", WAYS)
+def test_every_way_to_boost_leaves_a_policy_of_its_kind(recorded, tmp_path, monkeypatch, capsys, case):
+    options, kinds = WAYS[case]
+    options = [*options, "--planner.convnet.rounds=2", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    pretrained = tmp_path / "run/checkpoints/last/pretrained_model"
+    names = {name.split(".")[2] for name in load_file(pretrained / "model.safetensors") if "actor" in name}
+    assert names == kinds
+    assert MacroPolicy.load(pretrained).config.macros == 2
+    assert "all sorted" in capsys.readouterr().out
+
+
+def test_a_policy_outlives_pictures_that_are_interrupted(recorded, tmp_path, monkeypatch):
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training.TrainingPictures, "show", interrupted)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *SMALL)
+    assert MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model").config.macros == 2
+
+
+def test_one_demonstration_is_enough_and_no_other_judges_its_switch(recorded, tmp_path, monkeypatch, capsys):
+    options = [f"--dataset.root={recorded}", "--dataset.episodes=[0]", f"--output_dir={tmp_path / 'run'}"]
+    call(monkeypatch, *options, *SMALL)
+    printed = capsys.readouterr().out
+    assert "of the changes in the demonstration it learned from" in printed and "left-out" not in printed
+
+
+def test_more_actions_than_a_policy_holds_are_refused_before_any_work(recorded, tmp_path):
+    demonstrations = Demonstrations.load(recorded)
+    spoiled = replace(demonstrations, actions=np.where(demonstrations.actions == 1, 256, 0))
+    options = TrainOptions(dataset=DatasetOptions(root=recorded))
+    with pytest.raises(
+        ValueError, match=r"has an action 256: number them from 0, a policy holds 256 at most"
+    ):
+        training.Trainer(spoiled, options, RunFolder(tmp_path / "run"))
+
+
+def test_changes_are_aligned_by_all_frames_and_made_by_those_after_their_cues(
+    recorded, tmp_path, monkeypatch
+):
+    fits, fit = [], training.fit_switches
+
+    def noted(*given, **named):
+        fits.append((given[4].focused, fit(*given, **named)))
+        return fits[-1][1]
+
+    monkeypatch.setattr(training, "fit_switches", noted)
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *SMALL)
+    assert [focused for focused, _ in fits] == [False] * (len(fits) - 1) + [True]
+    policy = MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model")
+    assert len(fits) > 1
+    assert list(policy.config.thresholds) == fits[-1][1].thresholds.tolist()
+
+
+def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("dpmacro.features.columns.LIBRARIES", 0)
+    monkeypatch.setattr("dpmacro.features.columns.LEAST_COLUMNS", 20)
+    frames, height, width, _ = Demonstrations.load(recorded).images.shape
+    tables = TABLES * 4 * 2 * (FINALISTS + LEADERS) * FOLDS * 3  # 2 macro-actions, 3 actions
+    limit = frames * (3 * height * width + tables + 150 + 4 * 100) / GIB
+    monkeypatch.setattr("dpmacro.features.columns.VALUES", 1000)
+    monkeypatch.setattr("dpmacro.features.columns.SAMPLED", 10)
+    options = [f"--planner.memory_limit={limit:.9f}", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    assert re.search(r"columns +150 of 150, \d+ drawn at a time", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("mirror", "learner", "copies", "images"),
+    [
+        ("true", "stumps", 1, 0),
+        ("false", "stumps", 0, 0),
+        ("true", "convnet", 0, 3),
+        ("true", "mixed", 1, 3),
+        ("false", "convnet", 0, 0),
+    ],
+)
+def test_the_memory_of_mirror_images_is_planned(
+    recorded, tmp_path, monkeypatch, mirror, learner, copies, images
+):
+    fitting, given = Plan.fitting, []
+    monkeypatch.setattr(Plan, "fitting", lambda *asked: given.append(asked) or fitting(*asked))
+    options = [f"--planner.switch_mirror={mirror}", f"--planner.switch_learner={learner}", *SMALL]
+    options += ["--planner.convnet.rounds=1", "--planner.switch_rounds=1"]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    [(demand, _)] = given
+    assert demand.copies == copies
+    scores = (2 if mirror == "true" else 1) * 4 * 2  # of either direction of change
+    assert demand.switch_bytes > scores + images * demand.image_bytes
+    assert demand.switch_bytes < 3000 + images * demand.image_bytes
+
+
+def test_networks_mirror_images_and_need_no_mirrored_columns(recorded, tmp_path, monkeypatch):
+    held, fit = [], training.fit_switches
+    monkeypatch.setattr("dpmacro.training.learners.with_mirror_images", None)
+    monkeypatch.setattr(
+        training, "fit_switches", lambda *given, **named: held.append(given[0]) or fit(*given, **named)
+    )
+    options = ["--planner.switch_learner=convnet", "--planner.convnet.rounds=1", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    frames = len(Demonstrations.load(recorded).images)
+    assert {learner.n_frames for learner in held} == {2 * frames}
+
+
+def test_shrunk_images_from_training_to_runs(recorded, tmp_path, monkeypatch, capsys):
+    size = ["--dataset.image_size=[32,24]", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *size)
+    path = tmp_path / "run/checkpoints/last/pretrained_model"
+    config = MacroPolicy.load(path).config
+    assert (config.image_shape, config.stored_shape) == ((24, 32), (48, 64))
+    script = importlib.import_module("eval")
+    for options in (
+        ["--segmentation", f"--dataset.root={recorded}"],
+        ["--episodes=1", "--world.max_steps=9"],
+    ):
+        output = tmp_path / options[0].strip("-")
+        monkeypatch.setattr(sys, "argv", ["", f"--policy.path={path}", *options, f"--output_dir={output}"])
+        cli.run(script.main, script.EvalOptions)
+    demonstrations = Demonstrations.load(recorded, sight=Sight((32, 24)))
+    labels = annotate(MacroPolicy.load(path), demonstrations).labels.numpy()
+    told = json.loads((tmp_path / "segmentation/segmentation.json").read_text())["demonstrations"]
+    wanted = [part.tolist() for part in segments(labels, demonstrations.lengths)]
+    assert [row["segments"] for row in told] == wanted
+    assert json.loads((tmp_path / "episodes=1/eval_info.json").read_text())["dpmacro"]["steps"] == [9]
+
+
+def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monkeypatch):
+    options = ["--dataset.mirror=true", *SMALL]
+    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    state = load_file(tmp_path / "run/checkpoints/last/training_state/segmentation.safetensors")
+    assert state["lengths"].tolist() == [12, 7, 2, 9] and len(state["labels"]) == 30
+
+
+def test_the_truth_may_change_as_often_as_it_likes(recorded):
+    """The recorded demonstrations have 12, 7, 2 and 9 frames."""
+    truth = np.concatenate([np.arange(length) // 4 for length in (12, 7, 2, 9)])
+    demonstrations = replace(Demonstrations.load(recorded), truth=truth)
+    told = "true phase   {} of frames agree; {} of 5 change points found within 10 frames, {} made"
+    assert train.truth_report(truth, demonstrations) == told.format("100.0%", 5, 5)
+    labels = np.concatenate([np.arange(length) // 6 for length in (12, 7, 2, 9)])
+    assert train.truth_report(labels, demonstrations).endswith(
+        "; 3 of 5 change points found within 10 frames, 3 made"
+    )
+
+
+MISTAKES = {
+    "no root": ([], "give --dataset.root="),
+    "missing dataset": (["--dataset.root={tmp}/nowhere"], "nowhere"),
+    "no size": (
+        ["--dataset.root={data}", "--dataset.image_size=[0,9]"],
+        r"dataset\.image_size is \[0, 9\]: give",
+    ),
+    "too large a size": (
+        ["--dataset.root={data}", "--dataset.image_size=[64,49]"],
+        r"images are 64x48, image_size is 64x49: ask for smaller ones",
+    ),
+    "mirror images that memory does not hold": (
+        ["--dataset.root={data}", "--dataset.mirror=true", "--planner.memory_limit=5e-4"],
+        r"30 images of 64x48 take 0\.00026 GiB, and there are 0\.00017 for them",
+    ),
+    "missing truth": (["--dataset.root={data}", "--dataset.truth=skill"], "no integer column 'skill'"),
+    "missing episode": (["--dataset.root={data}", "--dataset.episodes=[7]"], "7"),
+    "unknown option": (["--dataset.root={data}", "--planner.macro=2"], r"did you mean --planner\.macros\?"),
+    "unreadable value": (
+        ["--dataset.root={data}", "--planner.macros=two"],
+        "planner.macros is 'two': give a number, or auto",
+    ),
+    "too few to try": (["--dataset.root={data}", "--planner.max_macros=1"], "planner.max_macros is 1"),
+    "negative switch weight": (
+        ["--dataset.root={data}", "--planner.switch_weight=-1"],
+        "planner.switch_weight is -1",
+    ),
+    "auto with more macros than frames": (
+        ["--dataset.root={data}", "--planner.macros=auto", "--planner.max_macros=31"],
+        "planner.max_macros is 31 but",
+    ),
+    "no macros": (["--dataset.root={data}", "--planner.macros=0"], "planner.macros is 0"),
+    "more macros than frames": (
+        ["--dataset.root={data}", "--planner.macros=31", "--output_dir={tmp}/run"],
+        "planner.macros is 31 but",
+    ),
+    "unknown planner": (["--dataset.root={data}", "--planner.type=act"], "planner.type is 'act'"),
+    "unknown features": (["--dataset.root={data}", "--planner.features=hog"], "planner.features is 'hog'"),
+    "no device": (["--dataset.root={data}", "--device=cuda:99"], "give --device=cpu"),
+    "negative seed": (["--dataset.root={data}", "--seed=-1"], "seed is -1"),
+    "seed that no generator takes": (["--dataset.root={data}", f"--seed={2**63}"], "less than"),
+    "shrinkage": (["--dataset.root={data}", "--planner.shrinkage=0"], "planner.shrinkage is 0"),
+    "unknown learner": (["--dataset.root={data}", "--planner.learner=forest"], "planner.learner is 'forest'"),
+    "no rounds of networks": (
+        ["--dataset.root={data}", "--planner.convnet.rounds=0"],
+        r"planner\.convnet\.rounds is 0",
+    ),
+    "no memory": (
+        ["--dataset.root={data}", "--planner.memory_limit=0.1", "--output_dir={tmp}/run"],
+        r"memory_limit is 0\.1 GiB: 30 frames need 0\.65",
+    ),
+    "mixed learners that stop early": (
+        [
+            "--dataset.root={data}",
+            "--planner.learner=mixed",
+            "--planner.early_stopping=true",
+            "--output_dir={tmp}/run",
+        ],
+        "early_stopping would stop mixed learners",
+    ),
+    "nothing to leave out": (
+        [
+            "--dataset.root={data}",
+            "--dataset.episodes=[0]",
+            "--planner.early_stopping=true",
+            "--output_dir={tmp}/run",
+        ],
+        "early_stopping leaves demonstrations out",
+    ),
+    "existing folder": (["--dataset.root={data}", "--output_dir={data}"], "choose another --output_dir"),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_a_mistake_gets_one_line_and_status_2(recorded, tmp_path, monkeypatch, capsys, case):
+    arguments, message = MISTAKES[case]
+    arguments = [argument.format(data=recorded, tmp=tmp_path) for argument in arguments]
+    refused(monkeypatch, capsys, arguments, message)
+    assert not list(tmp_path.iterdir()), "nothing is left behind"
+
+
+@pytest.mark.parametrize("case", SPOILED)
+def test_a_spoiled_dataset_gets_one_line_and_status_2(root, tmp_path, monkeypatch, capsys, case):  # noqa: F811
+    spoil, message = SPOILED[case]
+    spoil(root)
+    refused(monkeypatch, capsys, [f"--dataset.root={root}", f"--output_dir={tmp_path / 'run'}"], message)
+    assert not (tmp_path / "run").exists()
+
+
+def refused(monkeypatch, capsys, arguments, message):
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, *arguments)
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert stop.value.code == 2
+    assert len(lines) == 1 and lines[0].startswith("error: ")
+    assert re.search(message, lines[0])
+
+
+def test_the_process_itself_exits_with_status_2_and_one_line():
+    done = subprocess.run(
+        [sys.executable, "train.py", "--dataset.root=nowhere"],
+        cwd=Path(train.__file__).parent,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "nowhere" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_lengths_are_counted_per_demonstration(trained):
+    lengths = load_file(trained / "checkpoints/last/training_state/segmentation.safetensors")["lengths"]
+    assert np.array_equal(lengths.numpy(), [12, 7, 2, 9])

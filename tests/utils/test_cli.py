@@ -1,0 +1,123 @@
+"""The scripts' front door: LeRobot-style options in, one line and status 2 for a mistake."""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from dpmacro.utils import cli
+
+
+@dataclass
+class Inner:
+    """A group of options."""
+
+    size: tuple[int, int] = (1, 2)
+    count: int = 1
+
+    def __post_init__(self):
+        if self.count < 1:
+            raise ValueError(f"inner.count is {self.count}: give 1 or more")
+
+
+@dataclass
+class Options:
+    """Options of a script."""
+
+    inner: Inner = field(default_factory=Inner)
+    name: str | None = None
+    fast: bool = False
+    many: list[int] | None = None
+    folder: Path = Path()
+
+
+def test_options_come_as_lerobot_has_them(tmp_path):
+    file = tmp_path / "options.json"
+    file.write_text('{"inner": {"count": 5}, "name": "file"}')
+    assert cli.parse(Options, []) == Options()
+    assert cli.parse(Options, ["--inner.size=[3,4]", "--fast=true"]) == Options(Inner((3, 4)), fast=True)
+    assert cli.parse(Options, [f"--config_path={file}", "--name=flag"]) == Options(Inner(count=5), "flag")
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("--inner.cont=3", "unknown option --inner.cont: did you mean --inner.count?"),
+        ("--inner.coun=3", "did you mean --inner.count?"),
+        ("--zzzz=3", "unknown option --zzzz: see --help"),
+        ("stray", "unknown option stray"),
+        ("--inner.count=x", "`inner.count`: Couldn't parse 'x' into an int"),
+        ("--inner.count=0", "inner.count is 0: give 1 or more"),
+        ("--inner.size=[3]", "Expected 2 items, got 1"),
+        ("--inner.count", "expected one argument"),
+        ("--config_path=/no/such/file.json", "/no/such/file.json"),
+        ("--config_path", "expected one argument"),
+        ("--many=[0", "--many=[0 cannot be read (expected ',' or ']'"),
+        ("--many=0,1", "write it in brackets, like '[0,1,2]'"),
+        ("--name=a: b: c", "--name=a: b: c cannot be read (mapping values are not allowed here)"),
+        ("--folder=@x", "--folder=@x cannot be read"),
+        ("--name=2024-13-45", "--name=2024-13-45 cannot be read (month must be in 1..12)"),
+        ("--inner.size=3,4", "write it in brackets"),
+        ("--inner.size=3", "write it in brackets"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(monkeypatch, capsys, argument, message):
+    monkeypatch.setattr(sys, "argv", ["script.py", argument])
+    with pytest.raises(SystemExit) as stop:
+        cli.run(lambda options: None, Options)
+    error = capsys.readouterr().err
+    assert stop.value.code == 2
+    assert len(error.strip().splitlines()) == 1
+    assert message in error
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("o.md", "a: b: c", "cannot be read (mapping values are not allowed here): give a JSON file"),
+        ("o.json", "{", "cannot be read (Expecting property name"),
+        ("o.json", "[1]", "holds a list, no options"),
+        ("o.yaml", "", "holds a NoneType, no options"),
+    ],
+)
+def test_a_file_of_something_else_is_one_line(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError) as error:
+        cli.parse(Options, [f"--config_path={tmp_path / name}"])
+    assert f"--config_path={tmp_path / name} {message}" in str(error.value)
+
+
+def test_a_folder_may_begin_at_home(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/she")
+    assert cli.parse(Options, ["--folder=~/runs"]).folder == Path("/home/she/runs")
+    with pytest.raises(OSError, match=r"/home/she/none\.json"):
+        cli.parse(Options, ["--config_path=~/none.json"])
+
+
+@pytest.mark.parametrize("name", ["2024", "2024-11-23", "1.5"])
+def test_a_folder_may_look_like_a_number(name):
+    assert cli.parse(Options, [f"--folder={name}"]).folder == Path(name)
+
+
+@pytest.mark.parametrize(
+    ("error", "status"), [(ValueError("a\n  b"), 2), (FileNotFoundError("c"), 2), (KeyboardInterrupt(), 130)]
+)
+def test_what_main_raises_becomes_one_line(monkeypatch, capsys, error, status):
+    def main(options):
+        raise error
+
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    with pytest.raises(SystemExit) as stop:
+        cli.run(main, Options)
+    assert stop.value.code == status
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_a_bug_keeps_its_traceback(monkeypatch):
+    def main(options):
+        raise KeyError("bug")
+
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    with pytest.raises(KeyError):
+        cli.run(main, Options)

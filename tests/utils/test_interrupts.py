@@ -1,0 +1,47 @@
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from dpmacro.utils import interrupts
+
+
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_an_interrupt_acts_when_the_block_is_left():
+    handler = signal.getsignal(signal.SIGINT)
+    done = []
+    with pytest.raises(KeyboardInterrupt), interrupts.held_back():
+        interrupt()
+        interrupt()
+        done.append("all of it")
+    assert done and signal.getsignal(signal.SIGINT) is handler
+
+
+def test_an_error_is_not_hidden_by_an_interrupt():
+    handler = signal.getsignal(signal.SIGINT)
+    with pytest.raises(ValueError, match="mine"), interrupts.held_back():
+        interrupt()
+        raise ValueError("mine")
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_blocks_may_be_nested():
+    done = []
+    with pytest.raises(KeyboardInterrupt), interrupts.held_back():
+        with interrupts.held_back():
+            interrupt()
+        done.append("the outer one")
+    assert done
+
+
+def test_other_threads_pass_through():
+    def hold():
+        with interrupts.held_back():
+            return signal.getsignal(signal.SIGINT)
+
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(hold).result() is signal.getsignal(signal.SIGINT)
