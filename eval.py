@@ -23,11 +23,12 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from dpmacro.evaluation.rollouts import Episode, Moment, PlannerSource, iter_episodes, replay
+from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes, replay
 from dpmacro.metrics.success import success_summary
 from dpmacro.utils import cli
 from dpmacro.utils.files import replacing
-from dpmacro.worlds.two_flags.diagnosis import failure_causes
+from dpmacro.worlds import diagnosis_of
+from dpmacro.worlds.base import Episode, Moment
 from dpmacro.worlds.two_flags.env import ACTIONS, TwoFlagsConfig
 
 # Every worker process imports this file again: what only the parent needs is imported where it is used.
@@ -41,7 +42,7 @@ WORLD = "TwoFlags-v0"
 
 VIDEO_EVERY = 4
 
-FOR_TRAINING = ("--dataset.mirror", "--dataset.image_size=")
+FOR_TRAINING = ("--dataset.symmetric=", "--dataset.image_size=")
 FOR_RUNS = ("--world.", "--episodes=", "--workers=", "--videos=", "--policy.recovery=")
 FOR_SEGMENTATIONS = ("--dataset.", "--tolerance=")
 
@@ -172,11 +173,12 @@ def count_successes(options: EvalOptions) -> None:
         [int(episode.phases[-1]) for episode in episodes],
         [int(episode.macros[-1]) for episode in episodes],
     )
-    causes = failure_causes(episodes)
+    diagnosis = diagnosis_of(WORLD)
+    causes, events = diagnosis.causes(episodes), diagnosis.events(episodes)
     ran = {"planner": name, "policy_path": source.path and str(source.path), "recovery": source.recovery}
 
     def write_down(videos: Sequence[str]) -> dict[str, Any]:
-        info = eval_info(WORLD, episodes, summary, causes, seconds, videos)
+        info = eval_info(WORLD, episodes, summary, causes, events, seconds, videos)
         info["dpmacro"] |= ran | {"world": world}
         with replacing(output_dir / "eval_info.json") as path:
             path.write_text(json.dumps(info, indent=2) + "\n")

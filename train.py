@@ -37,12 +37,8 @@ def main(options: TrainOptions) -> None:
     folder = RunFolder(options.output_dir) if options.output_dir else RunFolder.dated(job_name)
     dataset = options.dataset
     assert dataset.root is not None, "the options checked it"
-    # Mirroring holds them three times for a while.
-    memory = options.planner.memory_limit / (3 if dataset.mirror else 1)
-    sight = Sight(dataset.image_size, memory=memory)
+    sight = Sight(dataset.image_size, memory=options.planner.memory_limit)
     demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth, sight)
-    if dataset.mirror:
-        demonstrations = demonstrations.mirrored(dataset.mirror_actions)
     started = time.perf_counter()
     if options.dagger.iterations:
         from dpmacro.training.dagger import aggregate  # worlds and their teachers: a second of imports
@@ -54,7 +50,7 @@ def main(options: TrainOptions) -> None:
         result = Trainer(demonstrations, options, folder).train()
     print(report(result, folder, time.perf_counter() - started))
     if demonstrations.truth is not None:
-        labels = result.discovery.labels.numpy()[: len(demonstrations.truth)]
+        labels = result.discovery.labels.numpy()[: len(demonstrations.truth)]  # DAgger appends others
         print(truth_report(labels, demonstrations))
 
 

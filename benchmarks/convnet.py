@@ -17,7 +17,6 @@ import torch
 
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.convnet import ConvNetLearner
-from dpmacro.boosting.learners.ensemble import InTurn
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, class_targets
 from dpmacro.data.demonstrations import Demonstrations
@@ -40,8 +39,6 @@ class ConvNetOptions:
     """Episodes of the dataset to learn from, like '[0,1,2]'; by default all."""
     seconds: list[float] = field(default_factory=lambda: [15.0, 60.0])
     """How long each learner boosts; every one begins anew."""
-    first: int = 300
-    """Rounds of stumps before the convnets of a mixed ensemble."""
     switch_stumps: int = 400
     """Rounds of stumps of a switch function, at shrinkage 0.2."""
     switch_convnets: int = 6
@@ -52,7 +49,7 @@ class ConvNetOptions:
     def __post_init__(self) -> None:
         if not self.seconds or not all(0 < value < float("inf") for value in self.seconds):
             raise ValueError(f"seconds is {self.seconds}: give one or more numbers above 0")
-        for name in ("first", "switch_stumps", "switch_convnets"):
+        for name in ("switch_stumps", "switch_convnets"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}: give 1 or more")
 
@@ -80,7 +77,6 @@ def main(options: ConvNetOptions) -> None:
     learners: dict[str, tuple[WeakLearner, float]] = {
         "stumps": (stumps, 0.1),
         "convnets": (convnets, 0.5),
-        "stumps first": (InTurn(stumps, options.first, convnets), 0.1),
     }
     for seconds, (name, (learner, shrinkage)) in itertools.product(options.seconds, learners.items()):
         row = actions_row(learner, demonstrations, seconds, shrinkage, options.seed)

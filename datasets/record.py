@@ -69,7 +69,7 @@ def main(cfg: RecordConfig) -> None:
     world = {"id": WORLD, **asdict(cfg.world)}
     kept = frames = tried = 0
     with (
-        DemonstrationWriter.create(cfg.root, ACTIONS, FPS, world, cfg.view) as writer,
+        DemonstrationWriter.create(cfg.root, ACTIONS, FPS, world, cfg.view, symmetric=True) as writer,
         closing(teacher_runs(world, cfg.view, cfg.seed, cfg.workers)) as runs,
         tqdm(total=cfg.episodes, unit="episode") as bar,
     ):

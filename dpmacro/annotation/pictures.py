@@ -4,13 +4,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int, UInt8
 from matplotlib.figure import Figure
 
 from dpmacro import figures
 from dpmacro.annotation.summary import Findings
-from dpmacro.boosting.learners.ensemble import Ensemble
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.policy.policy import MacroPolicy
 
@@ -61,12 +59,9 @@ def chosen_pixels(policy: MacroPolicy) -> Float[np.ndarray, "macros height width
 
     A stump counts with the step of its votes, spread evenly over the pixels that its column looks at.
     """
-    parts = policy.actor.parts if isinstance(policy.actor, Ensemble) else (policy.actor,)
-    stumps = [part for part in parts if isinstance(part, StumpClassifier)]
-    if not stumps:
+    if not isinstance(policy.actor, StumpClassifier):
         return None
-    weights = torch.stack([part.importances(policy.features.count) for part in stumps]).sum(0)
-    return policy.features.footprint(weights).cpu().numpy()
+    return policy.features.footprint(policy.actor.importances(policy.features.count)).cpu().numpy()
 
 
 def mean_images(

@@ -17,9 +17,6 @@ __all__ = ["DatasetError", "Demonstrations"]
 
 AS_STORED = Sight()
 
-_SIDES = re.compile("left|right", re.IGNORECASE)
-_OTHER_SIDE = {"left": "right", "right": "left"}
-
 
 @dataclass(frozen=True)
 class Demonstrations:
@@ -34,10 +31,10 @@ class Demonstrations:
         truth: the true macro-label, for metrics only, 0..K-1; None where the data has none.
         world: {"id": "TwoFlags-v0", **options} of the world recorded from; {} where the data does not say.
         root: the dataset's folder.
-        mirror_images: so many trajectories at the end are mirror images of as many at the start.
         truth_name: the column that `truth` comes from, "phase" or "subgoal" say; None without truth.
         truth_classes: names of the true labels 0..K-1; the numbers as text where the data names none.
         stored_shape: height and width of the images before they were shrunk; None where they were not.
+        symmetric: whether the world and its mirror image are alike, as the dataset declares.
     """
 
     images: UInt8[np.ndarray, "frames height width 3"]
@@ -48,10 +45,10 @@ class Demonstrations:
     truth: Int64[np.ndarray, " frames"] | None
     world: dict[str, Any]
     root: Path
-    mirror_images: int = 0
     truth_name: str | None = None
     truth_classes: tuple[str, ...] = ()
     stored_shape: tuple[int, int] | None = None
+    symmetric: bool = False
 
     @classmethod
     def load(
@@ -103,6 +100,7 @@ class Demonstrations:
             truth_name=truth,
             truth_classes=classes,
             stored_shape=buffer.stored_shape,
+            symmetric=store.symmetric,
         )
 
     @property
@@ -114,8 +112,7 @@ class Demonstrations:
     def select(self, trajectory_indices: Sequence[int] | Int64[np.ndarray, " chosen"]) -> "Demonstrations":
         """The given trajectories (0..I-1, any order, repeats allowed) as demonstrations of their own.
 
-        Mirror images count as any other from then on. Raises ValueError where there is none, or one that does
-        not exist.
+        Raises ValueError where there is none, or one that does not exist.
         """
         chosen = [int(index) for index in trajectory_indices]
         wrong = [index for index in chosen if not 0 <= index < len(self.lengths)]
@@ -129,19 +126,16 @@ class Demonstrations:
             actions=self.actions[frames],
             lengths=self.lengths[chosen],
             truth=None if self.truth is None else self.truth[frames],
-            mirror_images=0,
         )
 
     def joined(self, others: "Demonstrations") -> "Demonstrations":
         """These trajectories, then the others; truth stays where both have the same column.
 
-        Raises ValueError where images or actions differ, or there are mirror images among them.
+        Raises ValueError where images or actions differ.
         """
         for what, ours, theirs in (
             ("images of", self.images.shape[1:3], others.images.shape[1:3]),
             ("the actions", self.action_names, others.action_names),
-            ("mirror images:", self.mirror_images, 0),
-            ("mirror images:", others.mirror_images, 0),
         ):
             if ours != theirs:
                 raise ValueError(
@@ -156,55 +150,6 @@ class Demonstrations:
             truth=np.concatenate([self.truth, others.truth]) if same_truth else None,
             truth_name=self.truth_name if same_truth else None,
         )
-
-    def mirrored(self, swaps: Sequence[Sequence[int]] | None = None) -> "Demonstrations":
-        """These trajectories, then the mirror image of each: left and right exchanged in sight and action.
-
-        `swaps` are pairs of actions to exchange; by default those whose names differ in left and right only.
-        The images take twice the memory, three times while both are there. Raises ValueError where names
-        tell no pair or half of one, and where `swaps` are no disjoint pairs of different actions.
-        """
-        swapped = np.arange(len(self.action_names))
-        for one, other in _named_swaps(self.action_names) if swaps is None else self._checked(swaps):
-            swapped[[one, other]] = other, one
-        return replace(
-            self,
-            images=np.concatenate([self.images, self.images[:, :, ::-1]]),
-            actions=np.concatenate([self.actions, swapped[self.actions]]),
-            lengths=np.tile(self.lengths, 2),
-            truth=None if self.truth is None else np.tile(self.truth, 2),
-            mirror_images=len(self.lengths),
-        )
-
-    def _checked(self, swaps: Sequence[Sequence[int]]) -> Sequence[Sequence[int]]:
-        flat = [action for pair in swaps for action in pair]
-        known = all(0 <= action < len(self.action_names) for action in flat)
-        if not known or len(set(flat)) < len(flat) or any(len(pair) != 2 for pair in swaps):
-            raise ValueError(
-                f"mirror_actions is {[list(pair) for pair in swaps]}: give pairs of different actions, each "
-                f"once, out of {_numbered(self.action_names)}"
-            )
-        return swaps
-
-
-def _named_swaps(names: tuple[str, ...]) -> list[tuple[int, int]]:
-    """The pairs of actions whose names differ in left and right only."""
-    others = {name: _SIDES.sub(lambda side: _OTHER_SIDE[side[0].lower()], name.lower()) for name in names}
-    places = {name.lower(): place for place, name in enumerate(names)}
-    alone = [name for name, other in others.items() if other != name.lower() and other not in places]
-    pairs = [(places[name.lower()], places[other]) for name, other in others.items() if other in places]
-    swaps = [(one, other) for one, other in pairs if one < other]
-    if alone or not swaps:
-        found = f"{alone[0]!r} has no counterpart" if alone else "none is a left or a right one"
-        raise ValueError(
-            f"mirroring needs to know which actions to exchange, and {found} among {_numbered(names)}: "
-            "give them as pairs, like --dataset.mirror_actions='[[1,2]]', or '[]' where none is"
-        )
-    return swaps
-
-
-def _numbered(names: tuple[str, ...]) -> str:
-    return ", ".join(f"{number} ({name})" for number, name in enumerate(names))
 
 
 def _choose_camera(store: StoredDataset, camera: str | None) -> str:

@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames, StrongClassifier
-from dpmacro.boosting.learners.ensemble import classifier_from, classifier_tensors
+from dpmacro.boosting.learners.kinds import classifier_from, classifier_tensors
 from dpmacro.features.base import FeatureSet, features_from
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig, read_config

@@ -61,7 +61,7 @@ def aggregate(
     is a run of its own in `<folder>/iterations/<number>`, the gathered demonstrations are the LeRobot dataset
     `<folder>/gathered`, and the best planner is the run's checkpoint.
 
-    Raises ValueError where the demonstrations name no world that has a teacher, or hold mirror images.
+    Raises ValueError where the demonstrations name no world that has a teacher.
     """
     dagger = options.dagger
     if demonstrations.world.get("id") != WORLD:
@@ -69,8 +69,6 @@ def aggregate(
             f"{demonstrations.root} was recorded in the world {demonstrations.world.get('id')!r}: "
             f"--dagger.iterations needs {WORLD!r}, whose teacher can be asked"
         )
-    if demonstrations.mirror_images:
-        raise ValueError("--dagger.iterations gathers no mirror images: leave --dataset.mirror out")
     runs = folder.path / "iterations"
     result = Trainer(demonstrations, options, RunFolder(runs / "0")).train()
     with SummaryWriter(str(folder.tensorboard)) as writer:
@@ -134,7 +132,15 @@ def _writer(root: Path, demonstrations: Demonstrations) -> DemonstrationWriter:
     if root.exists():
         return DemonstrationWriter.extend(root)
     names, classes = demonstrations.action_names, {**PHASES, **DRIVERS}
-    return DemonstrationWriter.create(root, names, demonstrations.fps, demonstrations.world, False, classes)
+    return DemonstrationWriter.create(
+        root,
+        names,
+        demonstrations.fps,
+        demonstrations.world,
+        False,
+        classes,
+        symmetric=demonstrations.symmetric,
+    )
 
 
 def _add(writer: DemonstrationWriter, visit: Visit) -> None:

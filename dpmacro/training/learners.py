@@ -6,7 +6,6 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.convnet import ConvNetLearner
-from dpmacro.boosting.learners.ensemble import InTurn
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.features.base import FeatureSet, frames_before
 from dpmacro.features.columns import with_mirror_images
@@ -19,8 +18,7 @@ __all__ = ["WeakLearners", "rounds_of", "shrinkage_of"]
 
 def rounds_of(planner: PlannerOptions, kind: str, rounds: int) -> int:
     """Boosting rounds in all of a learner of that kind, where stumps have `rounds`."""
-    networks = planner.convnet.rounds
-    return {"stumps": rounds, "convnet": networks, "mixed": rounds + networks}[kind]
+    return planner.convnet.rounds if kind == "convnet" else rounds
 
 
 def shrinkage_of(planner: PlannerOptions, kind: str, shrinkage: float) -> float:
@@ -54,24 +52,22 @@ class WeakLearners:
         planner = self._planner
         drawn = planner.drawn or self._drawn
         stumps = StumpLearner(data, min(drawn, self._drawn or drawn), planner.reuse)
-        return self._of_kind(planner.learner, planner.rounds, stumps, False)
+        return stumps if planner.learner == "stumps" else self._networks(False)
 
     def for_switches(
         self, data: SortedLevels, features: FeatureSet, quantiser: Quantiser, mirror: bool
     ) -> WeakLearner:
         """The weak learner of the switch functions; with `mirror` it holds mirror images after the frames."""
         planner = self._planner
-        if mirror and planner.switch_learner != "convnet":  # which looks at images alone
+        if planner.switch_learner == "convnet":
+            return self._networks(mirror)
+        if mirror:
             data = with_mirror_images(data, self._images, self._lengths, features, quantiser)
-        stumps = StumpLearner(data, planner.switch_drawn)
-        return self._of_kind(planner.switch_learner, planner.switch_rounds, stumps, mirror)
+        return StumpLearner(data, planner.switch_drawn)
 
-    def _of_kind(self, kind: str, rounds: int, stumps: StumpLearner, mirror: bool) -> WeakLearner:
-        """The learner of that name; a mixed one turns to networks after `rounds`."""
-        if kind == "stumps":
-            return stumps
+    def _networks(self, mirror: bool) -> ConvNetLearner:
+        """The networks, which look at images alone."""
         images, before = self._images, frames_before(self._lengths.to(self._images.device))
         if mirror:
             images, before = torch.cat([images, images.flip(2)]), torch.cat([before, before + len(before)])
-        networks = ConvNetLearner(images, before, epochs=self._planner.convnet.epochs)
-        return networks if kind == "convnet" else InTurn(stumps, rounds, networks)
+        return ConvNetLearner(images, before, epochs=self._planner.convnet.epochs)

@@ -19,7 +19,7 @@ __all__ = [
 
 PLANNERS = ("dpboost", "baseline")
 SEEDS = 2**63  # those that generators take
-LEARNERS = ("stumps", "convnet", "mixed")
+LEARNERS = ("stumps", "convnet")
 
 
 @dataclass(frozen=True)
@@ -36,18 +36,12 @@ class DatasetOptions:
     """Width and height to shrink images to, like '[128,96]'; by default they stay as they are stored."""
     truth: str | None = None
     """Integer column with the true macro-labels, for metrics only; "none" or by default the recorded one."""
-    mirror: bool = False
-    """Whether to learn from the mirror image of every demonstration, too; turns left become turns right."""
-    mirror_actions: list[list[int]] | None = None
-    """Pairs of actions that a mirror exchanges, like [[1,2]]; by default those named left and right."""
+    symmetric: bool | None = None
+    """Whether the world and its mirror image are alike; by default as meta/dpmacro.json says, else false."""
 
     def __post_init__(self) -> None:
         if self.image_size is not None and min(self.image_size) < 1:
             raise ValueError(f"dataset.image_size is {list(self.image_size)}: give a width and a height")
-        if self.mirror_actions is not None and not self.mirror:
-            raise ValueError(
-                f"dataset.mirror_actions is {self.mirror_actions}: give --dataset.mirror=true, too"
-            )
 
 
 @dataclass(frozen=True)
@@ -55,9 +49,9 @@ class ConvNetOptions:
     """Tiny convolutional networks as weak learners."""
 
     rounds: int = 8
-    """Boosting rounds of the networks; with mixed learners they follow those of the stumps."""
+    """Boosting rounds of the networks."""
     shrinkage: float = 0.5
-    """Factor on every network, above 0 and up to 1; mixed learners keep that of the stumps."""
+    """Factor on every network, above 0 and up to 1."""
     epochs: int = 1
     """Passes over the frames in every round."""
 
@@ -84,7 +78,7 @@ class PlannerOptions:
     max_transitions: int | None = None
     """Bound S on transitions in a demonstration; by default Q - 1, and with auto macros twice that, too."""
     learner: str = "stumps"
-    """Weak learners of the strong classifiers, stumps, convnet, or mixed for stumps first, then networks."""
+    """Weak learners of the strong classifiers, stumps or convnet."""
     rounds: int = 300
     """Boosting rounds of the strong classifiers; those of networks are convnet.rounds."""
     shrinkage: float = 0.1
@@ -106,7 +100,7 @@ class PlannerOptions:
     early_stopping: bool = False
     """Whether left-out trajectories decide how many of the rounds are kept."""
     convnet: ConvNetOptions = field(default_factory=ConvNetOptions)
-    """Networks, where a learner is convnet or mixed."""
+    """Networks, where a learner is convnet."""
     switch_learner: str = "stumps"
     """Weak learners of the switch functions, likewise."""
     switch_window: int = 3
@@ -115,8 +109,6 @@ class PlannerOptions:
     """Boosting rounds of the switch functions."""
     switch_drawn: int = 32
     """Random columns that a round of stumps searches for them."""
-    switch_mirror: bool = True
-    """Whether they learn from mirror images, too; they look, and need no mirrored actions."""
     switch_shrinkage: float = 0.2
     """Factor on every weak hypothesis of a switch function."""
 

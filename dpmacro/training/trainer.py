@@ -92,10 +92,6 @@ class Trainer:
                 f"a policy holds {ACTIONS} at most"
             )
         learners = options.planner.learner, options.planner.switch_learner
-        if options.planner.early_stopping and "mixed" in learners:
-            raise ValueError(
-                "planner.early_stopping would stop mixed learners before the networks' turn: give one of them"
-            )
         height, width = demonstrations.images.shape[1:3]
         if set(learners) != {"stumps"} and min(height, width) < 2:
             raise ValueError(f"images are {height}x{width}: networks need 2x2 pixels at least, use stumps")
@@ -133,11 +129,9 @@ class Trainer:
         return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
 
     def _save(self, policy: MacroPolicy, discovery: DPBoostResult) -> Path:
-        """Save the policy and the segmentation, mirror images left out; returns its folder."""
-        lengths = self.lengths[: len(self.lengths) - self.demonstrations.mirror_images]
-        labels = discovery.labels[: int(lengths.sum())]
+        """Save the policy and the segmentation; returns its folder."""
         options = plain_options(self.options)
-        return self.folder.checkpoint(len(discovery.loss), policy, options, labels, lengths)
+        return self.folder.checkpoint(len(discovery.loss), policy, options, discovery.labels, self.lengths)
 
     @property
     def _switch_settings(self) -> SwitchSettings:
@@ -209,7 +203,7 @@ class Trainer:
         tried = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
         tables = TABLES * 4 * tried * most * (int(self.actions.max()) + 1)
         image_bytes, mirror = self.demonstrations.images[0].size, self._mirror and most > 1
-        stumps, networks = planner.switch_learner != "convnet", planner.switch_learner != "stumps"
+        stumps, networks = planner.switch_learner == "stumps", planner.switch_learner == "convnet"
         switches = TABLES * 4 * most * (most - 1) * (SWITCH_FOLDS + 1) + stumps * DRAWN * planner.switch_drawn
         demand = Demand(
             n_frames,
@@ -229,14 +223,14 @@ class Trainer:
 
     @property
     def _groups(self) -> Int64[Tensor, " trajectories"]:
-        """The number of every trajectory; a mirror image has that of its original."""
-        n_originals = len(self.lengths) - self.demonstrations.mirror_images
-        return torch.arange(len(self.lengths)) % n_originals
+        """The number of every trajectory: each is left out alone."""
+        return torch.arange(len(self.lengths))
 
     @property
     def _mirror(self) -> bool:
-        """Whether switch functions learn from mirror images that the demonstrations do not hold already."""
-        return self.options.planner.switch_mirror and not self.demonstrations.mirror_images
+        """Whether switch functions learn from mirror images, too: in a symmetric world only."""
+        given = self.options.dataset.symmetric
+        return self.demonstrations.symmetric if given is None else given
 
     def _policy(
         self,

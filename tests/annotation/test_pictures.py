@@ -9,12 +9,11 @@ from segmented import SHAPE, random_policy, some_findings
 
 from dpmacro.annotation.pictures import chosen_pixels, mean_images, picture_count, pictures
 from dpmacro.boosting.learners.convnet import ConvNetClassifier
-from dpmacro.boosting.learners.ensemble import Ensemble
 from dpmacro.features.base import FEATURES
 
 
 def network():
-    """A part of an ensemble that looks at no column."""
+    """A classifier that looks at no column."""
     shapes = [(2, 6, 1, 1), (2,), (2, 2, 1, 1), (2,), (3, 2, 1, 1), (3,), ()]
     return ConvNetClassifier(*(torch.zeros(1, 3, *shape) for shape in shapes))
 
@@ -39,7 +38,7 @@ def test_every_picture_has_a_name_and_words():
 
 def test_what_cannot_be_drawn_is_left_out():
     findings = some_findings(truth=False, bounds=1)
-    networks = replace(findings.policy, actor=Ensemble((network(),)))
+    networks = replace(findings.policy, actor=network())
     findings = replace(findings, policy=networks)
     assert chosen_pixels(networks) is None
     assert [picture.name for picture in pictures(findings, 1)] == [
@@ -57,8 +56,6 @@ def test_chosen_pixels_add_up_to_the_steps_of_the_votes(kind):
     steps = policy.actor.votes.diff(dim=2).abs().sum((0, 2, 3))
     assert weights.shape == (3, *SHAPE) and (weights >= 0).all()
     np.testing.assert_allclose(weights.sum((1, 2)), steps, rtol=1e-5)
-    mixed = replace(policy, actor=Ensemble((policy.actor, network(), policy.actor)))
-    np.testing.assert_allclose(chosen_pixels(mixed), 2 * weights, rtol=1e-5)
 
 
 def test_a_pixel_that_no_stump_looks_at_weighs_nothing():

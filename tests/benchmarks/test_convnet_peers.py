@@ -10,7 +10,7 @@ import pytest
 from dpmacro.data.lerobot.writer import DemonstrationWriter
 
 ROOT = Path(__file__).parents[2]
-FAST = ["--first=2", "--switch_stumps=3", "--switch_convnets=1"]
+FAST = ["--switch_stumps=3", "--switch_convnets=1"]
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,8 @@ def test_every_learner_boosts_for_as_long_as_asked(five):
     done = call(f"--dataset={five}", "--seconds=[0.05,0.2]", *FAST)
     assert done.returncode == 0, done.stderr
     _, _, *rows = done.stdout.splitlines()
-    assert [row.split("  ")[0] for row in rows[:6]] == ["stumps", "convnets", "stumps first"] * 2
-    for row, least in zip(rows[:6], [0.05] * 3 + [0.2] * 3, strict=True):
+    assert [row.split("  ")[0] for row in rows[:4]] == ["stumps", "convnets"] * 2
+    for row, least in zip(rows[:4], [0.05] * 2 + [0.2] * 2, strict=True):
         seconds, rounds, *shares = row[14:].split()[:4]
         assert float(seconds) >= least - 0.05 and int(rounds) >= 1
         assert all(0 <= float(share) <= 1 for share in shares)
@@ -49,7 +49,7 @@ def test_every_learner_boosts_for_as_long_as_asked(five):
         (["--demonstrations=[0,1,2]"], "gives 3 demonstrations: give 4 or more"),
         (["--seconds=[]"], "seconds is []"),
         (["--seconds=[0]"], "seconds is [0.0]"),
-        (["--first=0"], "first is 0"),
+        (["--switch_stumps=0"], "switch_stumps is 0"),
     ],
 )
 def test_a_mistake_gets_one_line(five, options, message):

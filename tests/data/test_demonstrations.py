@@ -2,7 +2,6 @@ import json
 import shutil
 import socket
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -215,8 +214,8 @@ WHOLE = {"dtype": "int64", "shape": [1], "names": None}
 def test_the_truth_is_the_recorded_column_and_has_its_names(recorded):
     loaded = Demonstrations.load(recorded)
     assert (loaded.truth_name, loaded.truth_classes) == ("phase", ("before blue", "after blue"))
-    both = loaded.select([1]).mirrored()
-    assert (both.truth_name, both.truth_classes) == ("phase", ("before blue", "after blue"))
+    some = loaded.select([1])
+    assert (some.truth_name, some.truth_classes) == ("phase", ("before blue", "after blue"))
 
 
 @pytest.mark.parametrize("dtype", [np.int64, np.int32, np.uint8, "vector"])
@@ -503,58 +502,18 @@ def test_loading_is_fast(root):
     assert 3000 / (time.process_time() - start) > 1500
 
 
-def named(recorded, *names):
-    return replace(Demonstrations.load(recorded), action_names=names)
+@pytest.mark.parametrize(("declared", "symmetric"), [({}, False), ({"symmetric": True}, True)])
+def test_a_world_is_symmetric_where_the_dataset_declares_it(root, declared, symmetric):
+    path = root / "meta/dpmacro.json"
+    path.write_text(json.dumps({"world": WORLD, **declared}))
+    loaded = Demonstrations.load(root)
+    assert loaded.symmetric is symmetric and loaded.select([1]).symmetric is symmetric
 
 
-def test_mirror_images_follow_with_left_and_right_exchanged(recorded):
-    demonstrations = named(recorded, "forward", "turn_left", "turn_right")
-    both = demonstrations.mirrored()
-    n = len(demonstrations.actions)
-    assert both.lengths.tolist() == 2 * list(LENGTHS)
-    assert both.mirror_images == len(LENGTHS)
-    for before, after in (
-        (demonstrations.images, both.images),
-        (demonstrations.actions, both.actions),
-        (demonstrations.truth, both.truth),
+@pytest.mark.parametrize("value", [1, "true", None])
+def test_a_symmetry_that_is_neither_true_nor_false_is_refused(root, value):
+    edit_json(root / "meta/dpmacro.json", symmetric=value)
+    with pytest.raises(
+        DatasetError, match=rf"dpmacro\.json: symmetric is {json.dumps(value)}; write true or false"
     ):
-        assert np.array_equal(after[:n], before)
-    assert np.array_equal(both.images[n:], np.flip(demonstrations.images, 2))
-    assert np.array_equal(both.actions[n:], np.array([0, 2, 1])[demonstrations.actions])
-    assert np.array_equal(both.truth[n:], demonstrations.truth)
-    assert both.select([0, len(LENGTHS)]).mirror_images == 0
-
-
-@pytest.mark.parametrize(
-    ("names", "swaps", "swapped"),
-    [
-        (("turnLeft", "stay", "turnRight"), None, [2, 1, 0]),
-        (("Right", "Left", "stay"), None, [1, 0, 2]),
-        (("a", "b", "c"), [[0, 2]], [2, 1, 0]),
-        (("left", "right", "c"), [], [0, 1, 2]),
-    ],
-)
-def test_what_a_mirror_exchanges(recorded, names, swaps, swapped):
-    demonstrations = named(recorded, *names)
-    mirrored = demonstrations.mirrored(swaps).actions[len(demonstrations.actions) :]
-    assert np.array_equal(mirrored, np.array(swapped)[demonstrations.actions])
-
-
-@pytest.mark.parametrize(
-    ("names", "swaps", "message"),
-    [
-        (
-            ("a", "b", "c"),
-            None,
-            r"none .* among 0 \(a\), 1 \(b\), 2 \(c\).*--dataset.mirror_actions='\[\[1,2\]\]'",
-        ),
-        (("left", "b", "c"), None, "'left' has no counterpart"),
-        (("a", "b", "c"), [[0, 3]], r"mirror_actions is \[\[0, 3\]\]"),
-        (("a", "b", "c"), [[0, 1], [1, 2]], "each once"),
-        (("a", "b", "c"), [[0, 1, 2]], "pairs"),
-        (("a", "b", "c"), [[1, 1]], "different"),
-    ],
-)
-def test_a_mirror_that_cannot_be_is_refused(recorded, names, swaps, message):
-    with pytest.raises(ValueError, match=message):
-        named(recorded, *names).mirrored(swaps)
+        Demonstrations.load(root)

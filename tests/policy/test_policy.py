@@ -267,11 +267,11 @@ def test_a_config_that_cannot_be_is_named(tmp_path, changes, message):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda tensors: tensors.update({"actor.0.stumps.votes": tensors["actor.0.stumps.votes"][:3]}),
-        lambda tensors: tensors["actor.0.stumps.columns"].add_(10_000),
+        lambda tensors: tensors.update({"actor.stumps.votes": tensors["actor.stumps.votes"][:3]}),
+        lambda tensors: tensors["actor.stumps.columns"].add_(10_000),
         lambda tensors: tensors.update({"quantiser.cuts": tensors["quantiser.cuts"][:5]}),
         lambda tensors: tensors.update({"features.first": tensors["features.first"][:, :3].contiguous()}),
-        lambda tensors: tensors.pop("switcher.0.stumps.votes"),
+        lambda tensors: tensors.pop("switcher.stumps.votes"),
     ],
 )
 def test_tensors_that_do_not_fit_one_another_are_named(tmp_path, change):

@@ -15,13 +15,13 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.lerobot.writer import DemonstrationWriter
-from dpmacro.evaluation.rollouts import OUTCOMES
 from dpmacro.features.base import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.success import wilson_interval
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils import cli
+from dpmacro.worlds.two_flags.diagnosis import OUTCOMES
 from dpmacro.worlds.two_flags.env import ACTIONS
 
 SCRIPT = Path(__file__).parents[2] / "eval.py"
@@ -188,7 +188,7 @@ def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
         (["--segmentation=maybe", "--policy.path=x"], "maybe"),
         (["--policy.type=teacher", "--dataset.root=y"], "--dataset.root=y is for --segmentation"),
         (["--policy.type=teacher", "--tolerance=3"], "--tolerance=3 is for --segmentation"),
-        (["--policy.type=teacher", "--dataset.mirror=true"], "--dataset.mirror=True is for train.py"),
+        (["--policy.type=teacher", "--dataset.symmetric=true"], "--dataset.symmetric=True is for train.py"),
         *(
             (["--segmentation", "--policy.path=x", "--dataset.root=y", option], f"{told} is for")
             for option, told in {
@@ -197,7 +197,7 @@ def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
                 "--videos=1": "--videos=1",
                 "--world.max_steps=9": "--world.max_steps=9",
                 "--policy.recovery=false": "--policy.recovery=False",
-                "--dataset.mirror=true": "--dataset.mirror=True",
+                "--dataset.symmetric=true": "--dataset.symmetric=True",
                 "--dataset.image_size=[8,6]": "--dataset.image_size=(8, 6)",
             }.items()
         ),

@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -18,6 +19,7 @@ from dpmacro.annotation.annotate import annotate
 from dpmacro.boosting.crossfit import FOLDS
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.images import Sight
+from dpmacro.data.lerobot.reader import WORLD_FILE
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
 from dpmacro.features.base import previous_images
 from dpmacro.features.columns import GIB, Plan
@@ -153,7 +155,6 @@ def test_the_baseline_is_one_classifier_without_switches(recorded, tmp_path, mon
 
 WAYS = {
     "convnets": (["--planner.learner=convnet", "--planner.switch_learner=convnet"], {"convnet"}),
-    "stumps first": (["--planner.learner=mixed"], {"stumps", "convnet"}),
     "few columns a round": (["--planner.drawn=20", "--planner.reuse=3"], {"stumps"}),
     "early stopping": (["--planner.early_stopping=true"], {"stumps"}),
 }
@@ -165,7 +166,7 @@ def test_every_way_to_boost_leaves_a_policy_of_its_kind(recorded, tmp_path, monk
     options = [*options, "--planner.convnet.rounds=2", *SMALL]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
     pretrained = tmp_path / "run/checkpoints/last/pretrained_model"
-    names = {name.split(".")[2] for name in load_file(pretrained / "model.safetensors") if "actor" in name}
+    names = {name.split(".")[1] for name in load_file(pretrained / "model.safetensors") if "actor" in name}
     assert names == kinds
     assert MacroPolicy.load(pretrained).config.macros == 2
     assert "all sorted" in capsys.readouterr().out
@@ -229,28 +230,46 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("mirror", "learner", "copies", "images"),
+    ("symmetric", "learner", "copies", "images"),
     [
         ("true", "stumps", 1, 0),
         ("false", "stumps", 0, 0),
         ("true", "convnet", 0, 3),
-        ("true", "mixed", 1, 3),
         ("false", "convnet", 0, 0),
     ],
 )
 def test_the_memory_of_mirror_images_is_planned(
-    recorded, tmp_path, monkeypatch, mirror, learner, copies, images
+    recorded, tmp_path, monkeypatch, symmetric, learner, copies, images
 ):
     fitting, given = Plan.fitting, []
     monkeypatch.setattr(Plan, "fitting", lambda *asked: given.append(asked) or fitting(*asked))
-    options = [f"--planner.switch_mirror={mirror}", f"--planner.switch_learner={learner}", *SMALL]
+    options = [f"--dataset.symmetric={symmetric}", f"--planner.switch_learner={learner}", *SMALL]
     options += ["--planner.convnet.rounds=1", "--planner.switch_rounds=1"]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
     [(demand, _)] = given
     assert demand.copies == copies
-    scores = (2 if mirror == "true" else 1) * 4 * 2  # of either direction of change
+    scores = (2 if symmetric == "true" else 1) * 4 * 2  # of either direction of change
     assert demand.switch_bytes > scores + images * demand.image_bytes
     assert demand.switch_bytes < 3000 + images * demand.image_bytes
+
+
+@pytest.mark.parametrize(
+    ("declared", "given", "copies"),
+    [(False, [], 1), (True, [], 2), (False, ["true"], 2), (True, ["false"], 1)],
+)
+def test_switch_functions_learn_from_mirror_images_of_a_symmetric_world(
+    recorded, tmp_path, monkeypatch, declared, given, copies
+):
+    data = shutil.copytree(recorded, tmp_path / "data")
+    about = json.loads((data / WORLD_FILE).read_text())
+    (data / WORLD_FILE).write_text(json.dumps({**about, "symmetric": declared}))
+    held, fit = [], training.fit_switches
+    monkeypatch.setattr(
+        training, "fit_switches", lambda *given, **named: held.append(given[0]) or fit(*given, **named)
+    )
+    options = [*(f"--dataset.symmetric={value}" for value in given), *SMALL]
+    call(monkeypatch, f"--dataset.root={data}", f"--output_dir={tmp_path}/run", *options)
+    assert {learner.n_frames for learner in held} == {copies * 30}
 
 
 def test_networks_mirror_images_and_need_no_mirrored_columns(recorded, tmp_path, monkeypatch):
@@ -260,6 +279,7 @@ def test_networks_mirror_images_and_need_no_mirrored_columns(recorded, tmp_path,
         training, "fit_switches", lambda *given, **named: held.append(given[0]) or fit(*given, **named)
     )
     options = ["--planner.switch_learner=convnet", "--planner.convnet.rounds=1", *SMALL]
+    options += ["--dataset.symmetric=true"]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
     frames = len(Demonstrations.load(recorded).images)
     assert {learner.n_frames for learner in held} == {2 * frames}
@@ -287,13 +307,6 @@ def test_shrunk_images_from_training_to_runs(recorded, tmp_path, monkeypatch, ca
     assert json.loads((tmp_path / "episodes=1/eval_info.json").read_text())["dpmacro"]["steps"] == [9]
 
 
-def test_mirror_images_are_learned_from_and_not_stored(recorded, tmp_path, monkeypatch):
-    options = ["--dataset.mirror=true", *SMALL]
-    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
-    state = load_file(tmp_path / "run/checkpoints/last/training_state/segmentation.safetensors")
-    assert state["lengths"].tolist() == [12, 7, 2, 9] and len(state["labels"]) == 30
-
-
 def test_the_truth_may_change_as_often_as_it_likes(recorded):
     """The recorded demonstrations have 12, 7, 2 and 9 frames."""
     truth = np.concatenate([np.arange(length) // 4 for length in (12, 7, 2, 9)])
@@ -317,9 +330,9 @@ MISTAKES = {
         ["--dataset.root={data}", "--dataset.image_size=[64,49]"],
         r"images are 64x48, image_size is 64x49: ask for smaller ones",
     ),
-    "mirror images that memory does not hold": (
-        ["--dataset.root={data}", "--dataset.mirror=true", "--planner.memory_limit=5e-4"],
-        r"30 images of 64x48 take 0\.00026 GiB, and there are 0\.00017 for them",
+    "images that memory does not hold": (
+        ["--dataset.root={data}", "--planner.memory_limit=2e-4"],
+        r"30 images of 64x48 take 0\.00026 GiB, and there are 0\.0002 for them",
     ),
     "missing truth": (["--dataset.root={data}", "--dataset.truth=skill"], "no integer column 'skill'"),
     "missing episode": (["--dataset.root={data}", "--dataset.episodes=[7]"], "7"),
@@ -356,15 +369,6 @@ MISTAKES = {
     "no memory": (
         ["--dataset.root={data}", "--planner.memory_limit=0.1", "--output_dir={tmp}/run"],
         r"memory_limit is 0\.1 GiB: 30 frames need 0\.65",
-    ),
-    "mixed learners that stop early": (
-        [
-            "--dataset.root={data}",
-            "--planner.learner=mixed",
-            "--planner.early_stopping=true",
-            "--output_dir={tmp}/run",
-        ],
-        "early_stopping would stop mixed learners",
     ),
     "nothing to leave out": (
         [

@@ -1,1 +1,1 @@
-"""Weak learners: stumps, tiny convolutional networks, and both in turn."""
+"""Weak learners: stumps and tiny convolutional networks."""

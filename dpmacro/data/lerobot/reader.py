@@ -84,12 +84,25 @@ class StoredDataset:
     @property
     def world(self) -> dict[str, Any]:
         """The world recorded from, of `WORLD_FILE`; {} where there is no such file."""
-        return self._recorded("world")
+        return self._recorded("world", {})
 
     @property
     def truth(self) -> dict[str, list[str]]:
         """Columns of true labels with the names of their classes, of `WORLD_FILE`; {} where it names none."""
-        return self._recorded("truth")
+        return self._recorded("truth", {})
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether `WORLD_FILE` declares the world and its mirror image alike; false where it does not say.
+
+        Raises DatasetError for a value that is neither true nor false.
+        """
+        declared = self._recorded("symmetric", False)
+        if not isinstance(declared, bool):
+            raise DatasetError(
+                f"{self.root / WORLD_FILE}: symmetric is {json.dumps(declared)}; write true or false"
+            )
+        return declared
 
     def largest(self, feature: str) -> int:
         """The largest value of a scalar feature by `meta/stats.json`; -1 where that does not say."""
@@ -157,9 +170,9 @@ class StoredDataset:
             if wanted:
                 raise DatasetError(f"dataset {self.root}: {path.name} of {camera} lacks frame {min(wanted)}")
 
-    def _recorded(self, key: str) -> dict[str, Any]:
+    def _recorded(self, key: str, default: Any) -> Any:
         path = self.root / WORLD_FILE
-        return _read_json(path).get(key, {}) if path.exists() else {}
+        return _read_json(path).get(key, default) if path.exists() else default
 
     def _data_file(self, row: dict[str, Any]) -> Path:
         return self.root / self.info["data_path"].format(

@@ -45,12 +45,14 @@ class DemonstrationWriter:
         world: dict[str, Any],
         view: bool,
         classes: Mapping[str, Sequence[str]],
+        symmetric: bool,
     ):
         self.root = root
         self.action_names = tuple(action_names)
         self.fps = fps
         self.world = world
         self.view = view
+        self.symmetric = symmetric
         self.classes = {name: tuple(of_column) for name, of_column in classes.items()}
         self._folder = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".partial", dir=root.parent))
         self._dataset: Any = None
@@ -66,6 +68,7 @@ class DemonstrationWriter:
         world: dict[str, Any],
         view: bool,
         classes: Mapping[str, Sequence[str]] = PHASES,
+        symmetric: bool = False,
     ) -> "DemonstrationWriter":
         """A writer of a new dataset.
 
@@ -77,6 +80,8 @@ class DemonstrationWriter:
             view: whether every episode comes with the avatar's view for people, stored as video.
             classes: columns of true labels, each with the names of its labels 0..K-1, kept in
                 `meta/dpmacro.json`; readers take the first column as the truth.
+            symmetric: whether the world and its mirror image are alike, kept in `meta/dpmacro.json`; readers
+                may then learn from mirror images of the pictures.
 
         Raises DatasetError where `root` exists, and ValueError for fewer than two actions.
         """
@@ -85,22 +90,23 @@ class DemonstrationWriter:
             raise ValueError(f"action_names {tuple(action_names)}: LeRobot's tools need at least two actions")
         _refuse_existing(root)
         root.parent.mkdir(parents=True, exist_ok=True)
-        return cls(root, action_names, fps, world, view, classes)
+        return cls(root, action_names, fps, world, view, classes, symmetric)
 
     @classmethod
     def extend(cls, root: str | Path) -> "DemonstrationWriter":
         """A writer of more episodes for a dataset that was recorded before.
 
-        Actions, frames per second, world, columns of truth, sizes of pictures and whether there is a view are
-        those of the dataset. What is written is a copy of it, which takes its place once complete: until
-        then, and whatever happens, the folder `root` holds the old one.
+        Actions, frames per second, world, its symmetry, columns of truth, sizes of pictures and whether there
+        is a view are those of the dataset. What is written is a copy of it, which takes its place once
+        complete: until then, and whatever happens, the folder `root` holds the old one.
 
         Raises DatasetError where `root` is no dataset, not one that this writer recorded, or not whole.
         """
         old = _recorded(Path(root).resolve())
         features = old.features
         names = features["action"]["names"]
-        writer = cls(old.root, names, int(old.info["fps"]), old.world, VIEW in features, old.truth)
+        about = old.world, VIEW in features, old.truth, old.symmetric
+        writer = cls(old.root, names, int(old.info["fps"]), *about)
         writer._sizes = {camera: tuple(features[camera]["shape"]) for camera in {AVATAR, VIEW} & {*features}}
         writer._old = old
         return writer
@@ -219,7 +225,7 @@ class DemonstrationWriter:
             with interrupts.held_back():
                 features = _features(self.action_names, self.classes, self._sizes)
                 self._dataset = create_dataset(self._data, self.fps, features)
-            recorded = {"world": self.world, "truth": self.classes}
+            recorded = {"world": self.world, "truth": self.classes, "symmetric": self.symmetric}
             (self._data / WORLD_FILE).write_text(json.dumps(recorded, indent=2) + "\n")
         else:
             shutil.copytree(self.root, self._data)

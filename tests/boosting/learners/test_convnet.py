@@ -6,7 +6,7 @@ from safetensors.torch import load, save
 
 from dpmacro.boosting.learners.base import Frames, StrongClassifier, WeakLearner
 from dpmacro.boosting.learners.convnet import BOUND, ConvNetClassifier, ConvNetLearner, reduced
-from dpmacro.boosting.learners.ensemble import Ensemble, InTurn, classifier_from, classifier_tensors
+from dpmacro.boosting.learners.kinds import classifier_from, classifier_tensors
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, class_targets
 from dpmacro.features.base import Pixels
@@ -178,17 +178,13 @@ def test_rounds_that_early_stopping_drops_are_not_kept():
     assert len(boosting.strong(torch.tensor([0, 0])).steps) == 1
 
 
-@pytest.mark.parametrize("mixed", [False, True])
-def test_a_file_brings_back_the_scores(mixed):
+def test_a_file_brings_back_the_scores():
     images, labels = blobs(40)
-    learner, then = convnets(images), convnets(images)
-    if mixed:
-        learner = InTurn(stumps(images), 2, then)
+    learner = convnets(images)
     boosting = boosted(learner, labels, two_problems(40), rounds=4)
     classifier = classifier_from(load(save(classifier_tensors(boosting.strong()))))
-    assert isinstance(classifier, Ensemble if mixed else ConvNetClassifier)
-    levels = learner.first.data.levels if mixed else torch.zeros(0, 40, dtype=torch.uint8)
-    scores = classifier.scores(Frames(levels, images, images[then.previous]))
+    assert isinstance(classifier, ConvNetClassifier)
+    scores = classifier.scores(frames_of(learner))
     torch.testing.assert_close(scores, boosting.scores, atol=1e-4, rtol=1e-4)
 
 
