@@ -33,11 +33,12 @@ from safetensors.torch import load_file
 from tqdm import tqdm
 
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.evaluation.rollouts import OUTCOMES, SUCCESS
 from dpmacro.metrics.success import wilson_interval
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils import cli
 from dpmacro.utils.files import replacing
+from dpmacro.worlds.base import SUCCESS
+from dpmacro.worlds.two_flags.diagnosis import OUTCOMES
 
 VALIDATION_SEED = 5000
 

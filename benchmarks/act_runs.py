@@ -14,9 +14,10 @@ import numpy as np
 import torch
 from jaxtyping import Float64, UInt8
 
-from dpmacro.evaluation.rollouts import Planner, outcome_of
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils.processes import spread, stopped
+from dpmacro.worlds.base import Planner
+from dpmacro.worlds.two_flags.diagnosis import outcome_of
 from dpmacro.worlds.two_flags.env import TURN_LEFT
 
 __all__ = ["WARM_UP", "Run", "Source", "runs", "sights", "summary", "timed"]
@@ -47,7 +48,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Run:
-    """How the run of a seed ended, one of `rollouts.OUTCOMES`, and what each of its actions took."""
+    """How the run of a seed ended, one of the world's `OUTCOMES`, and what each of its actions took."""
 
     seed: int
     outcome: str

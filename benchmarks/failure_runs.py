@@ -13,7 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 from dpmacro import figures
-from dpmacro.evaluation.rollouts import NO_MACRO, SUCCESS, PlannerSource, replay
+from dpmacro.evaluation.rollouts import PlannerSource, replay
+from dpmacro.worlds.base import NO_MACRO, SUCCESS
 from dpmacro.worlds.two_flags.diagnosis import CAUSES
 
 __all__ = ["Run", "by_cause", "example", "key_steps", "read_runs", "stills"]

@@ -38,9 +38,9 @@ from table_rows import Row, as_json
 from table_runs import Runs, work
 from tqdm import tqdm
 
-from dpmacro.evaluation.rollouts import SUCCESS
 from dpmacro.utils import cli
 from dpmacro.utils.files import replacing
+from dpmacro.worlds.base import SUCCESS
 
 QUICK_EPISODES = 30
 

@@ -9,9 +9,10 @@ from table_cells import DEFAULT_SIZE, FLAGS, PAPER_SIZE, PLANNERS, SWEEP, TEACHE
 from table_rows import Row, as_json, count, curve_points, groups, paired, pooled, sweep_seed
 
 from dpmacro import figures
-from dpmacro.evaluation.rollouts import OUTCOMES, SUCCESS
 from dpmacro.metrics.success import Paired, wilson_interval
 from dpmacro.utils.files import replacing
+from dpmacro.worlds.base import SUCCESS
+from dpmacro.worlds.two_flags.diagnosis import OUTCOMES
 
 __all__ = ["MARKS", "main_table", "report", "write_report"]
 

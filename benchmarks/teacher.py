@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm import tqdm
 
-from dpmacro.evaluation.rollouts import OUTCOMES, SUCCESS, PlannerSource, iter_episodes
+from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes
 from dpmacro.metrics.success import wilson_interval
 from dpmacro.utils import cli
+from dpmacro.worlds.base import SUCCESS
+from dpmacro.worlds.two_flags.diagnosis import OUTCOMES
 from dpmacro.worlds.two_flags.env import PIXELS, TwoFlagsConfig
 
 

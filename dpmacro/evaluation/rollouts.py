@@ -1,45 +1,27 @@
 """Runs of a planner in a world, one seed an episode, in parallel processes.
 
-A run that provably goes nowhere ends at once. Where the world's info tells its `state`, and the planner its
-`memory`, a run that comes to a state, the state before it and a memory for the second time repeats for ever:
-it ends there, with the outcome that it would have had at the world's last step.
+A run that repeats itself for ever ends at once (dpmacro/evaluation/loops.py). It gets the outcome that it
+would have had at the world's last step.
 """
 
 import json
 import sys
-from collections.abc import Generator, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from jaxtyping import Float, Float32, Int8, UInt8
 
-import dpmacro.worlds  # noqa: F401  registers the environments
+from dpmacro.evaluation.loops import VisitedStates
 from dpmacro.utils.processes import spread, stopped
+from dpmacro.worlds import diagnosis_of
+from dpmacro.worlds.base import NO_MACRO, Episode, Moment, Planner
 
-SUCCESS = "success"
-OUTCOMES = (SUCCESS, "red_first", "blue_never_reached", "red_never_reached")
-NO_MACRO = -1
-
-
-@runtime_checkable
-class Planner(Protocol):
-    """What chooses actions in one running environment; `macro`, where it has one, is its macro-action.
-
-    A planner may have `memory`, a hashable: all that its next action and its next memory depend on beside the
-    present and the previous state of the world, whose frames it sees. A planner that has none, or None, such
-    as one that draws lots, is never cut short.
-    """
-
-    def reset(self, env: gym.Env) -> None:
-        """Begin an episode of `env`, which was just reset."""
-
-    def act(self, observation: dict[str, Any], info: dict[str, Any]) -> int:
-        """The action to take."""
+__all__ = ["PlannerSource", "iter_episodes", "one_thread", "replay", "run_episodes"]
 
 
 @dataclass(frozen=True)
@@ -71,66 +53,6 @@ class PlannerSource:
         from dpmacro.policy.policy import MacroPolicy
 
         return MacroPolicy.load(self.path).planner(self.recovery)
-
-
-@dataclass(frozen=True)
-class Moment:
-    """One step of a run.
-
-    Attributes:
-        phase: of the frame that the planner saw.
-        action, macro: what the planner chose; macro-action -1 where it has none.
-        reward: what the action earned.
-        outcome: one of `OUTCOMES` on the last step, "" before.
-        view: the picture for people of the frame the planner saw; None unless rendered.
-        position: where the frame was seen from, metres; None where the world does not tell.
-        loop: how many steps a loop has that this, the last step, closes; 0 otherwise.
-    """
-
-    phase: int
-    action: int
-    macro: int
-    reward: float
-    outcome: str
-    view: UInt8[np.ndarray, "height width 3"] | None
-    position: Float[np.ndarray, "2"] | None = None
-    loop: int = 0
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One run of a planner, `steps` long; step t holds what the planner saw and chose at frame t.
-
-    Attributes:
-        outcome: one of `OUTCOMES`.
-        loop: so many of the last steps lead back to where they began, and would for ever; 0 where the run
-            was never in the same situation twice.
-        positions: where every frame was seen from, metres; None where the world does not tell.
-    """
-
-    seed: int
-    outcome: str
-    actions: UInt8[np.ndarray, " steps"]
-    phases: Int8[np.ndarray, " steps"]
-    macros: Int8[np.ndarray, " steps"]
-    rewards: Float32[np.ndarray, " steps"]
-    loop: int = 0
-    positions: Float32[np.ndarray, "steps 2"] | None = None
-
-    @property
-    def success(self) -> bool:
-        """Whether the world counts the run as a success."""
-        return self.outcome == SUCCESS
-
-    @property
-    def steps(self) -> int:
-        """Number of actions taken, up to where a loop was closed."""
-        return len(self.actions)
-
-    @property
-    def reward(self) -> float:
-        """Sum of rewards."""
-        return float(self.rewards.sum())
 
 
 def run_episodes(
@@ -180,7 +102,9 @@ class _Stage:
     def __init__(self, source: PlannerSource, world: Mapping[str, Any], render_mode: str | None = None):
         options = dict(world)
         self.planner = source.planner()
-        self.env = gym.make(options.pop("id"), render_mode=render_mode, **options)
+        world_id = options.pop("id")
+        self.env = gym.make(world_id, render_mode=render_mode, **options)
+        self.diagnosis = diagnosis_of(world_id)
 
     def close(self) -> None:
         self.env.close()
@@ -188,19 +112,19 @@ class _Stage:
     def moments(self, seed: int, every: int = 1) -> Generator[Moment]:
         observation, info = self.env.reset(seed=seed)
         self.planner.reset(self.env)
-        step, ended, past = 0, False, Past()
-        past.visit(info, self.planner)
+        step, ended, visited = 0, False, VisitedStates()
+        visited.visit(info, self.planner)
         while not ended:
             rendered = self.env.render_mode is not None and step % every == 0
             view = np.asarray(self.env.render()) if rendered else None
-            phase, position = int(info["phase"]), info.get("position")
+            phase, position = int(info.get("phase", 0)), info.get("position")
             action = int(self.planner.act(observation, info))
             macro = int(getattr(self.planner, "macro", NO_MACRO))
             observation, reward, terminated, truncated, info = self.env.step(action)
-            loop = 0 if terminated else past.visit(info, self.planner)
+            loop = 0 if terminated else visited.visit(info, self.planner)
             ended = bool(terminated or truncated or loop)
             step += 1
-            outcome = outcome_of(info) if ended else ""
+            outcome = self.diagnosis.outcome(info) if ended else ""
             yield Moment(phase, action, macro, float(reward), outcome, view, position, loop)
 
     def episode(self, seed: int) -> Episode:
@@ -222,31 +146,6 @@ class _Stage:
             if moments[0].position is None
             else np.array([moment.position for moment in moments], np.float32),
         )
-
-
-class Past:
-    """The situations that a run has been in."""
-
-    def __init__(self) -> None:
-        self._times: dict[Hashable, int] = {}
-        self._previous: Hashable = None
-
-    def visit(self, info: Mapping[str, Any], planner: Planner) -> int:
-        """Steps since the run was in the very same situation; 0 where it never was, or none can tell."""
-        memory = getattr(planner, "memory", None)
-        if memory is None or "state" not in info:
-            return 0
-        situation = self._previous, info["state"], memory
-        self._previous = info["state"]
-        now = len(self._times)
-        return now - self._times.setdefault(situation, now)
-
-
-def outcome_of(info: Mapping[str, Any]) -> str:
-    """Which of `OUTCOMES` a run has that ends with this info."""
-    if info["is_success"]:
-        return SUCCESS
-    return info["failure"] or ("red_never_reached" if info["phase"] else "blue_never_reached")
 
 
 @contextmanager

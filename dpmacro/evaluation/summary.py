@@ -7,9 +7,8 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from dpmacro.evaluation.rollouts import NO_MACRO, Episode
 from dpmacro.metrics.success import SuccessSummary
-from dpmacro.worlds.two_flags.diagnosis import blue_step, first_change
+from dpmacro.worlds.base import NO_MACRO, Episode
 
 __all__ = ["eval_info", "run_text", "write_scalars"]
 
@@ -40,13 +39,20 @@ def eval_info(
     episodes: Sequence[Episode],
     summary: SuccessSummary,
     causes: Sequence[str],
+    events: Mapping[str, Sequence[Any]],
     seconds: float,
     videos: Sequence[str],
 ) -> dict[str, Any]:
-    """Results in the form of LeRobot's eval_info.json, with a section of our own.
+    """Results in the form of LeRobot's eval_info.json, with a section `dpmacro`.
 
-    `world` is the name of the task. In our section `causes` are "" for a success; `blue_steps` and
-    `first_changes`, of the macro-action, may be null.
+    Args:
+        world: the task's name.
+        episodes: at least one.
+        summary: of their outcomes.
+        causes: why each failed; "" for a success.
+        events: what else the world tells of runs, a value or None for each; written into the section.
+        seconds: that all runs took.
+        videos: paths.
     """
     sums = [episode.reward for episode in episodes]
     largest = [float(episode.rewards.max()) for episode in episodes]
@@ -73,8 +79,8 @@ def eval_info(
             "steps": [episode.steps for episode in episodes],
             "loops": [episode.loop for episode in episodes],
             "causes": list(causes),
-            "blue_steps": [blue_step(episode) for episode in episodes],
-            "first_changes": [first_change(episode) for episode in episodes],
+            **{name: list(values) for name, values in events.items()},
+            "first_changes": [episode.first_change for episode in episodes],
             "last_macros": [int(episode.macros[-1]) for episode in episodes],
             "interval_95": list(summary.interval),
             "failures": [

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import UInt8
 from matplotlib.colors import to_rgb
 
-from dpmacro.evaluation.rollouts import NO_MACRO, Moment
 from dpmacro.figures import OUTCOME_COLOURS, macro_colour
 from dpmacro.utils.files import replacing
+from dpmacro.worlds.base import NO_MACRO, Moment
 
 WIDTH = 640
 STRIP = 48

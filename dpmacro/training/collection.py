@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64, UInt8
 
 import dpmacro.worlds  # noqa: F401  registers the world
-from dpmacro.evaluation.rollouts import Past, PlannerSource, one_thread
+from dpmacro.evaluation.loops import VisitedStates
+from dpmacro.evaluation.rollouts import PlannerSource, one_thread
 from dpmacro.policy.policy import MacroPlanner, MacroPolicy
 from dpmacro.utils.processes import spread, stopped
 from dpmacro.worlds.two_flags.teacher import Teacher
@@ -73,8 +74,8 @@ def _visit(env: gym.Env, planner: MacroPlanner, teacher: Teacher, seed: int) -> 
     planner.reset(env)
     teacher.reset(env)
     images, actions, phases, taught, rewards, agreed = [], [], [], [], [], []
-    teaching, ended, past = False, False, Past()
-    past.visit(info, planner)
+    teaching, ended, visited = False, False, VisitedStates()
+    visited.visit(info, planner)
     while not ended and not stopped():
         wanted, chosen = teacher.act(observation, info), planner.act(observation, info)
         if teaching:
@@ -88,10 +89,10 @@ def _visit(env: gym.Env, planner: MacroPlanner, teacher: Teacher, seed: int) -> 
         rewards.append(reward)
         ended = bool(terminated or truncated)
         if reward > 0 and teaching:
-            teaching, past = False, Past()
-        if past.visit(info, teacher if teaching else planner):
+            teaching, visited = False, VisitedStates()
+        if visited.visit(info, teacher if teaching else planner):
             ended = ended or teaching  # the teacher turns in circles, too
-            teaching, past = True, Past()
+            teaching, visited = True, VisitedStates()
     return Visit(
         images=np.stack(images),
         actions=np.array(actions, np.int64),

@@ -13,13 +13,13 @@ from noise import ACTIONS, LENGTHS, random_episodes
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.lerobot.writer import DemonstrationWriter
-from dpmacro.evaluation.rollouts import OUTCOMES
 from dpmacro.features.base import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.success import wilson_interval
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils import cli
+from dpmacro.worlds.two_flags.diagnosis import OUTCOMES
 
 ROOT = Path(__file__).parents[2]
 WORLD = {"id": "TwoFlags-v0", "flags": "fixed", "layout_seed": 3, "max_steps": 12, "render_size": [64, 48]}

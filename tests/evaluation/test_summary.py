@@ -3,9 +3,9 @@
 import numpy as np
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from dpmacro.evaluation.rollouts import Episode
 from dpmacro.evaluation.summary import eval_info, run_text, write_scalars
 from dpmacro.metrics.success import success_summary
+from dpmacro.worlds.base import Episode
 
 OUTCOMES = ["success", "red_first", "red_never_reached", "red_first"]
 CAUSES = ["", "red_in_the_way", "change_missed", "red_in_the_way"]
@@ -55,7 +55,9 @@ def test_without_a_failure_no_cause_is_told():
 
 def test_the_information_is_lerobots_with_a_section_of_our_own():
     summary = success_summary(OUTCOMES, [1, 0, 1, 0], [1, 0, 0, 0])
-    info = eval_info("World-v0", episodes(), summary, CAUSES, 8.0, ["a.mp4"])
+    info = eval_info(
+        "World-v0", episodes(), summary, CAUSES, {"blue_steps": [1, None, 1, None]}, 8.0, ["a.mp4"]
+    )
     assert info["overall"] == {
         "avg_sum_reward": 0.75,
         "avg_max_reward": 0.5,

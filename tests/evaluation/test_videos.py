@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from dpmacro.evaluation.rollouts import Moment
 from dpmacro.evaluation.videos import STRIP, WIDTH, drawn_run, write_run, write_video
 from dpmacro.figures import OUTCOME_COLOURS, macro_colour
+from dpmacro.worlds.base import Moment
 
 
 def run(steps=20, macros=(0, 1), outcome="red_first", height=240):

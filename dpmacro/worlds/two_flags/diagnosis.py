@@ -1,26 +1,31 @@
-"""Why runs failed: one cause for every failed run, told from the episodes alone.
+"""How runs among flags end, and why they fail.
 
-Which macro-actions belong to which phase is seen in the runs that succeed (`home_phases`). A failed run has
-the first of these causes that applies; its end are its last steps, those of its loop or else `END` of them:
+A failed run has one of three outcomes. It touched red before blue, or its time ran out before it reached
+blue, or its time ran out between blue and red. It also has one cause, told from the episodes alone. Which
+macro-actions belong to which phase is taken from the runs that succeed (`home_phases`). A failed run has the
+first of these causes that applies. The end of a run is its loop where it has one, and its last `END` steps
+otherwise.
 
-- changed_early: blue not reached, under a macro-action whose home is after blue.
-- change_missed: blue reached, under a macro-action whose home is before blue.
-- red_in_the_way: red touched first, under any other macro-action, or none.
-- pressed: at the end forward steps cover less than `SLIP` of the way that they would in the open, held up by
-  a wall or flag.
-- spins: at the end nothing but turns, round a whole turn: no flag is recognised.
-- dithers: at the end nothing but turns, left and right.
+- changed_early: blue was not reached, and the last macro-action belongs to the phase after blue.
+- change_missed: blue was reached, and the last macro-action belongs to the phase before blue.
+- red_in_the_way: red was touched first, under any other macro-action, or none.
+- pressed: at the end forward steps cover less than `SLIP` of the distance that they cover in open space,
+  since a wall or a flag is in the way.
+- spins: the end holds nothing but turns, and they add up to a whole turn at least.
+- dithers: the end holds nothing but turns to the left and to the right.
 - out_of_time: none of these.
 """
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from dpmacro.evaluation.rollouts import Episode
+from dpmacro.worlds.base import SUCCESS, Episode
 from dpmacro.worlds.two_flags.env import FORWARD, STEP, TURN_LEFT, TURN_RIGHT, WHOLE_TURN
 
+OUTCOMES = (SUCCESS, "red_first", "blue_never_reached", "red_never_reached")
 CAUSES = (
     "changed_early",
     "change_missed",
@@ -30,9 +35,34 @@ CAUSES = (
     "dithers",
     "out_of_time",
 )
-END = WHOLE_TURN
+END = WHOLE_TURN  # steps
 SLIP = 0.25
 HOME = 0.8
+
+
+class TwoFlagsDiagnosis:
+    """The `worlds.base.Diagnosis` of TwoFlags."""
+
+    outcomes = OUTCOMES
+
+    def outcome(self, info: Mapping[str, Any]) -> str:
+        """Return which of `OUTCOMES` a run has that ends with this info."""
+        return outcome_of(info)
+
+    def causes(self, episodes: Sequence[Episode]) -> list[str]:
+        """Return one of `CAUSES` for every failed run, "" for a success."""
+        return failure_causes(episodes)
+
+    def events(self, episodes: Sequence[Episode]) -> dict[str, list[Any]]:
+        """Return `blue_steps`: for every run the step that reached the blue flag, None where none did."""
+        return {"blue_steps": [blue_step(episode) for episode in episodes]}
+
+
+def outcome_of(info: Mapping[str, Any]) -> str:
+    """Return which of `OUTCOMES` a run has that ends with this info."""
+    if info["is_success"]:
+        return SUCCESS
+    return info["failure"] or ("red_never_reached" if info["phase"] else "blue_never_reached")
 
 
 def failure_causes(episodes: Sequence[Episode]) -> list[str]:
@@ -44,9 +74,10 @@ def failure_causes(episodes: Sequence[Episode]) -> list[str]:
 def home_phases(episodes: Sequence[Episode]) -> dict[int, int]:
     """The phase, 0 or 1, that each macro-action belongs to.
 
-    It is the one in which successful runs spend at least `HOME` of the macro-action's frames; a macro-action
-    that both phases share has none. Where no run succeeds, the macro-action that runs start in belongs to
-    phase 0 and all others to phase 1. Where only one macro-action is ever in use, there is nothing to tell.
+    A macro-action belongs to the phase that holds at least the share `HOME` of its frames in successful runs.
+    One with a smaller share in either phase belongs to neither and is left out. Where no run succeeds, the
+    macro-action that runs start in belongs to phase 0 and all others to phase 1. Where only one macro-action
+    is ever used, none belongs to a phase.
     """
     frames = Counter[tuple[int, int]]()
     used, started = set[int](), set[int]()
@@ -93,12 +124,6 @@ def blue_step(episode: Episode) -> int | None:
     """The step that reached the blue flag; None where none did."""
     rewarded = np.flatnonzero(episode.rewards > 0)
     return int(rewarded[0]) if len(rewarded) else None
-
-
-def first_change(episode: Episode) -> int | None:
-    """The step on which the macro-action is first another than on the step before; None where it stays."""
-    changes = np.flatnonzero(np.diff(episode.macros))
-    return int(changes[0]) + 1 if len(changes) else None
 
 
 def _way(episode: Episode, steps: int) -> float:

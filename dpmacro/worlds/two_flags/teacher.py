@@ -19,7 +19,7 @@ class Teacher:
     hides the other, or stands in its way, it fails.
     """
 
-    memory = ()  # of `rollouts.Planner`: it acts by the world's state alone
+    memory = ()  # of `worlds.base.Planner`: it acts by the world's state alone
 
     def __init__(self) -> None:
         self._scene: Scene | None = None

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from dpmacro.evaluation.rollouts import Episode, PlannerSource, run_episodes
+from dpmacro.evaluation.rollouts import PlannerSource, run_episodes
+from dpmacro.worlds import diagnosis_of
+from dpmacro.worlds.base import Episode
 from dpmacro.worlds.two_flags.diagnosis import (
     CAUSES,
     blue_step,
     cause,
     failure_causes,
-    first_change,
     home_phases,
 )
 from dpmacro.worlds.two_flags.env import FORWARD, STEP, TURN_LEFT, TURN_RIGHT
@@ -120,10 +121,11 @@ def test_homes(episodes, homes):
 
 def test_steps_of_blue_and_of_the_first_change():
     episode = run("red_never_reached", [F] * 9, [0] * 6 + [1] + [0] * 2, blue=4)
-    assert (blue_step(episode), first_change(episode)) == (4, 6)
+    assert (blue_step(episode), episode.first_change) == (4, 6)
     assert episode.phases[4] == 0 and episode.phases[5] == 1
     unchanged = run("red_first", [F] * 9)
-    assert blue_step(unchanged) is first_change(unchanged) is None
+    assert blue_step(unchanged) is unchanged.first_change is None
+    assert diagnosis_of("TwoFlags-v0").events([episode, unchanged]) == {"blue_steps": [4, None]}
 
 
 @pytest.mark.parametrize(

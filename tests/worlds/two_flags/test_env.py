@@ -1,6 +1,7 @@
 """TwoFlags-v0 as a gymnasium environment, and as the world that its docstring describes."""
 
 import math
+import os
 import subprocess
 import sys
 import warnings
@@ -53,6 +54,7 @@ def test_two_copies_agree_here_and_in_another_process():
     elsewhere = subprocess.run(
         [sys.executable, "-c", code],
         cwd=Path(__file__).parents[3],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
         capture_output=True,
         text=True,
         check=True,
