@@ -73,8 +73,8 @@ class PolicyOptions:
     """Folder `pretrained_model` of a training run."""
     type: str | None = None
     """`teacher` for the teacher, instead of a path."""
-    recovery: bool = True
-    """Whether a policy that turns in circles takes its most doubted decision the other way."""
+    recovery: bool | None = None
+    """Whether a policy that repeats itself takes another action; by default as it was saved."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class EvalOptions:
                 f"--policy.type={self.policy.type} is unknown: choose teacher or give a --policy.path"
             )
         if self.policy.type is not None:
-            _refuse(self, ("--policy.recovery=",), "is for saved policies: a teacher has none to do without")
+            _refuse(self, ("--policy.recovery=",), "is for saved policies: leave it out")
         for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0), ("tolerance", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"--{name}={getattr(self, name)}: it must be at least {least}")
@@ -175,7 +175,11 @@ def count_successes(options: EvalOptions) -> None:
     )
     diagnosis = diagnosis_of(WORLD)
     causes, events = diagnosis.causes(episodes), diagnosis.events(episodes)
-    ran = {"planner": name, "policy_path": source.path and str(source.path), "recovery": source.recovery}
+    ran = {
+        "planner": name,
+        "policy_path": source.path and str(source.path),
+        "recovery": bool(source.recovery),
+    }
 
     def write_down(videos: Sequence[str]) -> dict[str, Any]:
         info = eval_info(WORLD, episodes, summary, causes, events, seconds, videos)
@@ -210,7 +214,9 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
     unknown = sorted(set(stored) - {option.name for option in fields(TwoFlagsConfig)})
     if unknown:
         raise ValueError(f"{options.path} was trained in a {WORLD} with {unknown[0]!r}, which this one lacks")
-    return PlannerSource("policy", options.path, options.recovery), config.type, stored
+    saved = bool(getattr(config, "recovery", False))
+    recovery = saved if options.recovery is None else options.recovery
+    return PlannerSource("policy", options.path, recovery), config.type, stored
 
 
 def show_segmentation(options: EvalOptions) -> None:

@@ -31,12 +31,13 @@ class PlannerSource:
     Attributes:
         kind: "teacher", or "policy" for a saved `MacroPolicy`.
         path: folder of the saved policy; None for the teacher.
-        recovery: whether a policy that turns in circles gets itself out of them (dpmacro/policy/recovery.py).
+        recovery: whether a policy gets itself out of loops (dpmacro/policy/recovery.py); None for what it was
+            saved with.
     """
 
     kind: str
     path: Path | None = None
-    recovery: bool = True
+    recovery: bool | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in ("teacher", "policy"):

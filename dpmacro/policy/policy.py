@@ -1,14 +1,10 @@
 """MacroPolicy: strong classifiers and switch functions that turn images into actions; saved and read back."""
 
 import json
-from collections.abc import Hashable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64, UInt8
 from safetensors import SafetensorError
@@ -20,23 +16,14 @@ from dpmacro.boosting.learners.kinds import classifier_from, classifier_tensors
 from dpmacro.features.base import FeatureSet, features_from
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig, read_config
-from dpmacro.policy.recovery import Recovery, Stretches
+from dpmacro.policy.planner import MacroPlanner, PolicyState
+from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 from dpmacro.utils.files import replacing
 
-__all__ = ["MacroPlanner", "MacroPolicy", "PolicyState"]
+__all__ = ["MacroPolicy", "PolicyState"]
 
 CONFIG_NAME = "config.json"
 WEIGHTS_NAME = "model.safetensors"
-
-
-@dataclass
-class PolicyState:
-    """Where every running environment of a batch stands."""
-
-    macro: Int64[Tensor, " batch"]
-    action: Int64[Tensor, " batch"]  # done last, -1 before the first
-    previous: UInt8[Tensor, "batch height width 3"] | None = None  # None before the first frame
-    restarted: Bool[Tensor, " batch"] | None = None  # environments whose next frame is their first
 
 
 @dataclass(frozen=True)
@@ -52,7 +39,7 @@ class MacroPolicy:
     quantiser: Quantiser
     actor: StrongClassifier  # problems are macro-actions, classes are actions
     switcher: StrongClassifier | None  # problems are config.switches, one class
-    stretches: Stretches | None = None  # what demonstrators did, for a planner in trouble
+    stretches: Stretches | None = None  # what demonstrators did, which recovery replays
 
     @classmethod
     def compact(
@@ -151,9 +138,26 @@ class MacroPolicy:
                 after[action][switch] = True
         return torch.tensor(after, device=self.device)
 
-    def planner(self, recovery: bool = True) -> "MacroPlanner":
-        """A planner for one running environment; `recovery` is for those in trouble."""
-        return MacroPlanner(self, recovery)
+    def planner(self, recovery: bool | None = None, *, seed: int = 0) -> MacroPlanner | RecoveringPlanner:
+        """A planner for one running environment.
+
+        Args:
+            recovery: whether it gets itself out of loops (dpmacro/policy/recovery.py); None for what the
+                policy was saved with.
+            seed: of recovery's random draws.
+
+        Raises ValueError where recovery is wanted and the policy holds no actions of demonstrators.
+        """
+        if recovery is None:
+            recovery = bool(getattr(self.config, "recovery", False))
+        if not recovery:
+            return MacroPlanner(self)
+        if self.stretches is None:
+            raise ValueError(
+                "the policy holds no actions of demonstrators, which recovery replays: train it again, or "
+                "run it without recovery"
+            )
+        return RecoveringPlanner(MacroPlanner(self), self.stretches, seed)
 
     def to(self, device: str | torch.device) -> "MacroPolicy":
         """The policy with its tensors on `device`."""
@@ -199,56 +203,6 @@ class MacroPolicy:
             groups["stretches"] = self.stretches.tensors()
         named = {f"{group}.{name}": value for group, part in groups.items() for name, value in part.items()}
         return {**named, "quantiser.cuts": self.quantiser.cuts}
-
-
-class MacroPlanner:
-    """A policy in one running environment; it sees the observation's `pixels` and nothing else.
-
-    With `recovery`, and a policy that knows what demonstrators did, it gets itself out of circles.
-    """
-
-    def __init__(self, policy: MacroPolicy, recovery: bool = True) -> None:
-        self.policy = policy
-        known = policy.stretches if recovery else None
-        self._recovery = None if known is None else Recovery(known, policy.config.macros)
-        self._state = policy.initial_state(1)
-
-    @property
-    def macro(self) -> int:
-        """The current macro-action."""
-        return int(self._state.macro[0])
-
-    @property
-    def memory(self) -> Hashable:
-        """All of its state but the frame before (see `rollouts.Planner`); None with recovery, which draws."""
-        return None if self._recovery is not None else (self.macro, int(self._state.action[0]))
-
-    def reset(self, env: gym.Env | None = None) -> None:
-        """Begin an episode; of which environment does not matter."""
-        self._state = self.policy.initial_state(1)
-        if self._recovery is not None:
-            self._recovery.reset()
-
-    def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
-        """The action for the frame that the environment shows now.
-
-        It has the size that the demonstrations were stored with, and is shrunk as they were. Raises
-        ValueError where it has not.
-        """
-        pixels = self.policy.config.sight.of(observation["pixels"], "the observation")
-        images, before = torch.from_numpy(pixels)[None], self._state.previous
-        scores, self._state = self.policy.decide(images.to(self.policy.device), self._state)
-        if self._recovery is None:
-            action = int(scores[0].argmax())
-        else:
-            seen = images if before is None else torch.cat([images, before.cpu()])
-            action = self._recovery.act(seen.numpy().tobytes(), self.macro, scores[0].cpu().numpy())
-        self.took(action)
-        return action
-
-    def took(self, action: int) -> None:
-        """Say what was done in place of the action that `act` gave."""
-        self._state = replace(self._state, action=torch.tensor([action], device=self.policy.device))
 
 
 def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:

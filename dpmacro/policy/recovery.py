@@ -1,28 +1,43 @@
-"""What a planner in trouble does: its least certain decision the other way, then on like a demonstrator.
+"""Recovery: a planner that repeats itself takes another action, and then follows a demonstration.
 
-A planner that sees exactly what it saw before in the same macro-action will, where its world is as
-predictable as it is, do what it did before, and so on for ever. Of the decisions on that circle the one
-nearest to a tie is doubted most: in a turn without end, the one that faces a flag too far away to be
-recognised. There it takes the action that came second, and replays what a demonstrator did from the first
-such action of a random segment on: for as many frames as the circle has, after the next circle for twice as
-many, and so on, the segment's end at most. Where it dithers a nudge is enough, a flag far away takes a walk.
-Its switch functions stay on watch.
+What is detected: a planner sees frames that it saw before under the same macro-action. It takes the same
+action again, and where the world is as deterministic as the planner is, the steps in between form a loop. The
+run stays in it until its time is up.
+
+What is done: of the decisions on the loop, the closest is the one whose best action leads the second best by
+the least. When the run comes to that decision again, the second best action is taken. What follows it in a
+demonstration is replayed: in a random one of the demonstrations' segments of the same macro-action, from the
+segment's first such action on. The first replay under a macro-action takes at most as many steps as the loop
+has, the next one twice as many as its loop has, then four times as many, and so on, but never more than are
+left in the segment. Then the planner decides again.
+
+Why: the closest decision is where the policy is least certain, for instance where it faces a flag that is too
+far away to be recognised. One other action breaks a loop of two steps. A flag far away has to be walked up to
+before it is recognised, and the loop round it is long.
+
+Limits: noise in the frames hides a repetition. A replay does not look at the frames, but for the switch
+functions, and a change of macro-action ends it. Where no demonstration took the second best action under the
+macro-action, that action alone is taken. Since replays are drawn at random, a run with recovery never proves
+to be a loop, and takes all the time that the world gives.
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch
 from jaxtyping import Float, Int64, UInt8
 from torch import Tensor
 
+from dpmacro.policy.planner import MacroPlanner
 from dpmacro.switching.functions import macro_segments
 
-__all__ = ["ACTIONS", "Recovery", "Stretches"]
+__all__ = ["MAX_ACTIONS", "LoopBreaker", "RecoveringPlanner", "Stretches"]
 
-ACTIONS = 256  # that a byte tells apart
+MAX_ACTIONS = 256  # a byte holds an action
 
 
 @dataclass(frozen=True)
@@ -46,10 +61,10 @@ class Stretches:
         actions: Int64[Tensor, " frames"],
         lengths: Int64[Tensor, " trajectories"],
     ) -> "Stretches":
-        """The segments of constant macro-label, in order. ValueError for more than `ACTIONS` actions."""
-        if int(actions.max()) >= ACTIONS:
+        """The segments of constant macro-label, in order. ValueError for more than `MAX_ACTIONS` actions."""
+        if int(actions.max()) >= MAX_ACTIONS:
             raise ValueError(
-                f"an action is {int(actions.max())}: a policy holds {ACTIONS} at most, from 0 on"
+                f"an action is {int(actions.max())}: a policy holds {MAX_ACTIONS} at most, from 0 on"
             )
         segments = macro_segments(labels, lengths)
         return cls(
@@ -74,77 +89,116 @@ class Stretches:
         return {"actions": self.actions, "lengths": self.lengths, "macros": self.macros}
 
     def of_macro(self, macro: int) -> list[UInt8[np.ndarray, " _"]]:
-        """The segments of one macro-action."""
+        """The actions of every segment of one macro-action, in order; none for one that has no segment."""
         parts = self.actions.split(self.lengths.tolist())
         return [part.numpy() for part, own in zip(parts, self.macros.tolist(), strict=True) if own == macro]
 
 
-class Recovery:
-    """One running environment's watch over its planner."""
+class RecoveringPlanner:
+    """A planner that gets out of loops, as `dpmacro.worlds.base.Planner`.
 
-    def __init__(self, stretches: Stretches, macros: int) -> None:
-        self._segments = [stretches.of_macro(macro) for macro in range(macros)]
-        # Digest of a sight -> the lead of the decision made there; the latest sight comes last.
+    Args:
+        planner: what decides while there is no loop.
+        stretches: what demonstrators did under every macro-action.
+        seed: of the random draws, which are the same in every episode.
+    """
+
+    memory: Hashable = None  # of `worlds.base.Planner`: draws are random, so no run is known to repeat itself
+
+    def __init__(self, planner: MacroPlanner, stretches: Stretches, seed: int) -> None:
+        self.planner = planner
+        self._breaker = LoopBreaker(stretches, seed)
+
+    @property
+    def macro(self) -> int:
+        """The current macro-action, 0..Q-1."""
+        return self.planner.macro
+
+    def reset(self, env: gym.Env | None = None) -> None:
+        """Begin an episode, in any environment."""
+        self.planner.reset(env)
+        self._breaker.reset()
+
+    def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
+        """Return the action for the present frame. Raises ValueError for a frame of another size."""
+        scores = self.planner.scores(observation)
+        action = self._breaker.act(self.planner.seen, self.planner.macro, scores)
+        self.planner.took(action)
+        return action
+
+
+class LoopBreaker:
+    """The decisions of one episode since the macro-action last changed, and what breaks a loop of them.
+
+    Args:
+        stretches: what demonstrators did under every macro-action.
+        seed: of the random draws, which are the same in every episode.
+    """
+
+    def __init__(self, stretches: Stretches, seed: int) -> None:
+        self._segments = {macro: stretches.of_macro(macro) for macro in set(stretches.macros.tolist())}
+        self._seed = seed
+        # From a digest of frames to the lead of the best action there, the latest decision last.
         self._leads: dict[bytes, float] = {}
-        self._stretch: list[int] = []  # actions still to replay, the next one last
+        self._replay: list[int] = []  # actions still to take, the next one last
         self.reset()
 
     def reset(self) -> None:
-        """Begin an episode; its draws are the same in every one."""
-        self._generator = np.random.default_rng(0)
+        """Begin an episode."""
+        self._generator = np.random.default_rng(self._seed)
         self._enter(-1)
 
     @property
     def replaying(self) -> bool:
-        """Whether the last action was not the planner's."""
+        """Whether the last action was another than the planner's own."""
         return self._replaying
 
     def act(self, seen: bytes, macro: int, scores: Float[np.ndarray, " actions"]) -> int:
-        """The action to take.
+        """Return the action to take.
 
         Args:
-            seen: all that the planner's decision depends on beside its macro-action.
-            macro: its macro-action, 0..Q-1.
-            scores: of every action, of which it would take the highest, the first of several.
+            seen: the frames that the scores were computed from; equal bytes are equal frames.
+            macro: the planner's macro-action, 0..Q-1.
+            scores: of every action; of equal ones the first is the best.
         """
         if macro != self._macro:
             self._enter(macro)
-        if not self._stretch and len(scores) > 1:
+        if not self._replay and len(scores) > 1:
             self._watch(hashlib.blake2b(seen, digest_size=16).digest(), scores)
-        self._replaying = bool(self._stretch)
-        return self._stretch.pop() if self._stretch else int(scores.argmax())
+        self._replaying = bool(self._replay)
+        return self._replay.pop() if self._replay else int(scores.argmax())
 
     def _enter(self, macro: int) -> None:
         self._macro, self._replaying = macro, False
-        self._stretches = 0  # replayed in this macro-action
-        self._stretch.clear()
+        self._replays = 0  # under this macro-action
+        self._replay.clear()
         self._forget()
 
     def _forget(self) -> None:
         self._leads.clear()
-        self._start = self._doubted = b""  # sights: where the circle was found, and its most doubted one
+        self._start = self._closest = b""  # digests: where the loop was noticed, and its closest decision
 
-    def _watch(self, sight: bytes, scores: Float[np.ndarray, " actions"]) -> None:
-        """Take note of a decision; begin a stretch if it is the most doubted one of a circle."""
+    def _watch(self, digest: bytes, scores: Float[np.ndarray, " actions"]) -> None:
+        """Note a decision; begin a replay if it is the closest one of a loop."""
         first, second = np.argsort(-scores, kind="stable")[:2].tolist()
-        if sight not in self._leads:
-            self._doubted = b""
-        elif not self._doubted or sight == self._start:
-            circle = list(self._leads)[list(self._leads).index(sight) :]
-            self._start, self._doubted = sight, min(circle, key=self._leads.__getitem__)
-            self._room = len(circle) << self._stretches
-        self._leads.pop(sight, None)
-        self._leads[sight] = float(scores[first] - scores[second])
-        if sight == self._doubted:
-            self._stretch = self._draw(second)
-            self._stretches += 1
+        if digest not in self._leads:
+            self._closest = b""  # a new frame: the loop, if there was one, has been left
+        elif not self._closest or digest == self._start:
+            loop = list(self._leads)[list(self._leads).index(digest) :]
+            self._start, self._closest = digest, min(loop, key=self._leads.__getitem__)
+            self._limit = len(loop) << self._replays
+        self._leads.pop(digest, None)
+        self._leads[digest] = float(scores[first] - scores[second])
+        if digest == self._closest:
+            self._replay = self._draw(second)
+            self._replays += 1
             self._forget()
 
     def _draw(self, action: int) -> list[int]:
-        """A segment of the macro-action from that action on, `_room` frames at most; the next one last."""
-        segments = [own for own in self._segments[self._macro] if (own == action).any()]
+        """Return that action and what follows in a random segment, at most `_limit` long, the next last."""
+        segments = [own for own in self._segments.get(self._macro, []) if (own == action).any()]
         if not segments:
             return [action]
         segment = segments[self._generator.integers(len(segments))]
         first = int((segment == action).argmax())
-        return segment[first : first + self._room][::-1].tolist()
+        return segment[first : first + self._limit][::-1].tolist()

@@ -19,7 +19,8 @@ from jaxtyping import Bool, Float32, Int64, UInt8
 import dpmacro.worlds  # noqa: F401  registers the world
 from dpmacro.evaluation.loops import VisitedStates
 from dpmacro.evaluation.rollouts import PlannerSource, one_thread
-from dpmacro.policy.policy import MacroPlanner, MacroPolicy
+from dpmacro.policy.planner import MacroPlanner
+from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils.processes import spread, stopped
 from dpmacro.worlds.two_flags.teacher import Teacher
 
@@ -109,4 +110,4 @@ def _stage(source: PlannerSource, world: str) -> tuple[gym.Env, MacroPlanner, Te
     """One world, given as JSON, and planner a process, for one run after another."""
     options = json.loads(world)
     assert source.path is not None, "the teacher has nothing to learn from itself"
-    return gym.make(options.pop("id"), **options), MacroPolicy.load(source.path).planner(False), Teacher()
+    return gym.make(options.pop("id"), **options), MacroPlanner(MacroPolicy.load(source.path)), Teacher()

@@ -29,7 +29,7 @@ from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
-from dpmacro.policy.recovery import ACTIONS, Stretches
+from dpmacro.policy.recovery import MAX_ACTIONS, Stretches
 from dpmacro.switching.alignment import realigned
 from dpmacro.switching.functions import SwitchFunctions, starting_macro
 from dpmacro.switching.training import FOLDS as SWITCH_FOLDS
@@ -86,10 +86,10 @@ class Trainer:
                 f"planner.early_stopping leaves demonstrations out and {demonstrations.root} has one: "
                 "record more, or leave it off"
             )
-        if int(self.actions.max()) >= ACTIONS:
+        if int(self.actions.max()) >= MAX_ACTIONS:
             raise ValueError(
                 f"{demonstrations.root} has an action {int(self.actions.max())}: number them from 0, "
-                f"a policy holds {ACTIONS} at most"
+                f"a policy holds {MAX_ACTIONS} at most"
             )
         learners = options.planner.learner, options.planner.switch_learner
         height, width = demonstrations.images.shape[1:3]

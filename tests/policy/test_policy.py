@@ -16,8 +16,9 @@ from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.features.base import FEATURES, make_features, previous_images
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.planner import MacroPlanner
 from dpmacro.policy.policy import MacroPolicy, PolicyState
-from dpmacro.policy.recovery import Stretches
+from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SHAPE = (12, 16)
@@ -132,11 +133,11 @@ def test_a_planner_that_sees_the_same_again_leaves_its_circle(tmp_path):
     state = replace(policy.initial_state(1), previous=images[:1])
     first, second = policy.decide(images[:1], state)[0][0].argsort(descending=True)[:2].tolist()
     for found in (policy, MacroPolicy.load(tmp_path), policy.to("cpu")):
-        planner = found.planner()
+        planner = found.planner(recovery=True)
         for expected in ([first], [first, first], [first, first, second]):  # episodes
             planner.reset(gym.Env())
             assert [planner.act(same, {}) for _ in expected] == expected
-            assert int(planner._state.action) == expected[-1]
+            assert planner.planner.memory[1] == expected[-1]
         others = [planner.act({"pixels": image.numpy()}, {}) for image in images]
         alone = found.planner(recovery=False)
         assert others == [alone.act({"pixels": image.numpy()}, {}) for image in [images[0], *images]][1:]
@@ -313,3 +314,14 @@ def test_a_policy_without_a_stump_takes_its_first_action(tmp_path):
     nothing.save(tmp_path)
     assert nothing.features.count == 0
     assert set(run(MacroPolicy.load(tmp_path), images)[0]) == {0}
+
+
+def test_recovery_is_off_unless_asked_for_and_needs_demonstrators():
+    policy, _ = random_policy()
+    assert isinstance(policy.planner(), MacroPlanner) and policy.stretches is None
+    with pytest.raises(ValueError, match="holds no actions of demonstrators"):
+        policy.planner(recovery=True)
+    stretches = Stretches.of(torch.zeros(2).long(), torch.tensor([0, 1]), torch.tensor([2]))
+    policy = replace(policy, stretches=stretches)
+    assert isinstance(policy.planner(), MacroPlanner)
+    assert isinstance(policy.planner(recovery=True), RecoveringPlanner)

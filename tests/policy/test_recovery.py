@@ -4,7 +4,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.policy.recovery import Recovery, Stretches
+from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.planner import MacroPlanner, PolicyState
+from dpmacro.policy.recovery import LoopBreaker, RecoveringPlanner, Stretches
+from dpmacro.worlds.base import Planner
 
 LABELS = torch.tensor([0, 0, 0, 1, 1, 0, 0])
 ACTIONS = torch.tensor([1, 1, 0, 2, 2, 0, 1])
@@ -44,95 +47,95 @@ def scores(first, second, lead=1.0):
 
 
 def test_what_is_new_is_left_to_the_planner(stretches):
-    recovery = Recovery(stretches, 2)
-    assert [recovery.act(bytes([frame]), 0, scores(2, 0)) for frame in range(3)] == [2, 2, 2]
-    assert not recovery.replaying
+    breaker = LoopBreaker(stretches, 0)
+    assert [breaker.act(bytes([frame]), 0, scores(2, 0)) for frame in range(3)] == [2, 2, 2]
+    assert not breaker.replaying
 
 
-def test_the_most_doubted_decision_of_a_circle_is_taken_the_other_way(stretches):
-    """Frame 0 leads into a circle of 1, 2, 3 and 4, of which 3 is nearest to a tie."""
-    recovery = Recovery(stretches, 2)
+def test_the_second_best_action_is_taken_at_the_closest_decision_of_a_loop(stretches):
+    """Frame 0 leads into a loop of 1, 2, 3 and 4, of whose decisions that at 3 is the closest."""
+    breaker = LoopBreaker(stretches, 0)
     leads = {0: 0.1, 1: 3.0, 2: 4.0, 3: 0.5, 4: 2.0}
     for frame in [0, 1, 2, 3, 4, 1, 2]:
-        assert recovery.act(bytes([frame]), 0, scores(2, 1, leads[frame])) == 2
-        assert not recovery.replaying
-    done = [recovery.act(bytes([3]), 0, scores(2, 1, leads[3]))]
-    while recovery.replaying:
-        done.append(recovery.act(b"elsewhere", 0, scores(2, 1)))
+        assert breaker.act(bytes([frame]), 0, scores(2, 1, leads[frame])) == 2
+        assert not breaker.replaying
+    done = [breaker.act(bytes([3]), 0, scores(2, 1, leads[3]))]
+    while breaker.replaying:
+        done.append(breaker.act(b"elsewhere", 0, scores(2, 1)))
     assert done in ([1, 1, 0, 2], [1, 2])  # from the first 1 of a segment to its end
 
 
-def test_who_leaves_the_circle_is_not_held_to_it(stretches):
-    recovery = Recovery(stretches, 2)
+def test_a_loop_that_was_left_is_forgotten(stretches):
+    breaker = LoopBreaker(stretches, 0)
     leads = {0: 3.0, 1: 2.0, 2: 1.0}
     for frame in [0, 1, 2, 0, 1]:
-        recovery.act(bytes([frame]), 0, scores(2, 1, leads[frame]))
-    for frame in [7, 1]:  # frame 2 is doubted, and still to come
-        assert recovery.act(bytes([frame]), 0, scores(2, 1)) == 2 and not recovery.replaying
+        breaker.act(bytes([frame]), 0, scores(2, 1, leads[frame]))
+    for frame in [7, 1]:  # frame 2 is the closest, and still to come
+        assert breaker.act(bytes([frame]), 0, scores(2, 1)) == 2 and not breaker.replaying
 
 
-def test_a_long_circle_is_left_for_as_long_as_it_is_then_for_twice_as_long():
-    recovery = Recovery(Stretches.of(torch.zeros(90).long(), torch.ones(90).long(), torch.tensor([90])), 2)
-    own = ["a", "b", "c", "a", "b"]  # b is doubted
-    done = [recovery.act(sight.encode(), 0, scores(2, 1, 0.1 if sight == "b" else 1.0)) for sight in own]
+def test_the_first_replay_is_as_long_as_the_loop_and_the_next_twice_as_long():
+    breaker = LoopBreaker(Stretches.of(torch.zeros(90).long(), torch.ones(90).long(), torch.tensor([90])), 0)
+    own = ["a", "b", "c", "a", "b"]  # b is the closest
+    done = [breaker.act(frame.encode(), 0, scores(2, 1, 0.1 if frame == "b" else 1.0)) for frame in own]
     assert done == [2, 2, 2, 2, 1]
-    assert [recovery.act(b"", 0, scores(2, 1)) for _ in range(2)] == [1, 1]
-    done = [recovery.act(sight.encode(), 0, scores(2, 1, 0.1 if sight == "b" else 1.0)) for sight in own]
+    assert [breaker.act(b"", 0, scores(2, 1)) for _ in range(2)] == [1, 1]
+    done = [breaker.act(frame.encode(), 0, scores(2, 1, 0.1 if frame == "b" else 1.0)) for frame in own]
     assert done == [2, 2, 2, 2, 1]
-    assert [recovery.act(b"", 0, scores(2, 1)) for _ in range(6)] == [*[1] * 5, 2]
+    assert [breaker.act(b"", 0, scores(2, 1)) for _ in range(6)] == [*[1] * 5, 2]
 
 
-def test_a_circle_that_was_left_without_a_stretch_does_not_count():
-    recovery = Recovery(Stretches.of(torch.zeros(90).long(), torch.ones(90).long(), torch.tensor([90])), 2)
+def test_a_loop_that_was_left_without_a_replay_does_not_count():
+    breaker = LoopBreaker(Stretches.of(torch.zeros(90).long(), torch.ones(90).long(), torch.tensor([90])), 0)
     for time in range(3):
-        for sight, lead in ((b"a", 2.0), (b"b", 0.1), (b"a", 2.0), (b"c", 3.0)):
-            assert recovery.act(bytes([time]) + sight, 0, scores(2, 1, lead)) == 2
-    assert [recovery.act(b"x", 0, scores(2, 1)) for _ in range(3)] == [2, 1, 2]
+        for frame, lead in ((b"a", 2.0), (b"b", 0.1), (b"a", 2.0), (b"c", 3.0)):
+            assert breaker.act(bytes([time]) + frame, 0, scores(2, 1, lead)) == 2
+    assert [breaker.act(b"x", 0, scores(2, 1)) for _ in range(3)] == [2, 1, 2]
 
 
-def test_of_equal_scores_the_planner_takes_the_first_and_doubt_the_next(stretches):
-    recovery = Recovery(stretches, 2)
+def test_of_equal_scores_the_first_is_the_best_and_the_next_the_second_best(stretches):
+    breaker = LoopBreaker(stretches, 0)
     equal = np.array([1.0, 1.0, 0.0], np.float32)
-    assert [recovery.act(b"a", 0, equal) for _ in range(2)] == [0, 1]
+    assert [breaker.act(b"a", 0, equal) for _ in range(2)] == [0, 1]
 
 
-def test_every_further_circle_is_left_for_twice_as_long():
-    recovery = Recovery(Stretches.of(torch.zeros(9).long(), torch.ones(9).long(), torch.tensor([9])), 2)
-    done = [recovery.act(b"a", 0, scores(2, 1)) for _ in range(21)]
+def test_every_further_replay_is_twice_as_long():
+    breaker = LoopBreaker(Stretches.of(torch.zeros(9).long(), torch.ones(9).long(), torch.tensor([9])), 0)
+    done = [breaker.act(b"a", 0, scores(2, 1)) for _ in range(21)]
     assert done == [2, 1, 2, 1, 1, 2, *[1] * 4, 2, *[1] * 8, 2, 1]
-    recovery.act(b"a", 1, scores(2, 1))  # another macro-action begins with a nudge again
-    assert [recovery.act(b"a", 0, scores(2, 1)) for _ in range(4)] == [2, 1, 2, 1]
+    breaker.act(b"a", 1, scores(2, 1))  # another macro-action begins with one step again
+    assert [breaker.act(b"a", 0, scores(2, 1)) for _ in range(4)] == [2, 1, 2, 1]
 
 
 def test_an_action_that_no_demonstrator_took_is_taken_once(stretches):
-    recovery = Recovery(stretches, 2)
-    done = [recovery.act(b"a", 1, scores(2, 0)) for _ in range(4)]
+    breaker = LoopBreaker(stretches, 0)
+    done = [breaker.act(b"a", 1, scores(2, 0)) for _ in range(4)]
     assert done == [2, 0, 2, 0]
 
 
-def test_the_same_sight_in_another_macro_action_is_new(stretches):
-    recovery = Recovery(stretches, 2)
-    assert [recovery.act(b"a", macro, scores(2, 0)) for macro in (0, 1, 0)] == [2, 2, 2]
+def test_the_same_frames_under_another_macro_action_are_new(stretches):
+    breaker = LoopBreaker(stretches, 0)
+    assert [breaker.act(b"a", macro, scores(2, 0)) for macro in (0, 1, 0)] == [2, 2, 2]
 
 
-def test_another_macro_action_ends_a_stretch(stretches):
-    recovery = Recovery(stretches, 2)
-    while not recovery.replaying:
-        recovery.act(b"a", 0, scores(2, 1))
-    assert recovery.act(b"b", 1, scores(2, 0)) == 2
+def test_another_macro_action_ends_a_replay(stretches):
+    breaker = LoopBreaker(stretches, 0)
+    while not breaker.replaying:
+        breaker.act(b"a", 0, scores(2, 1))
+    assert breaker.act(b"b", 1, scores(2, 0)) == 2
 
 
 def test_where_there_is_one_action_there_is_no_other(stretches):
-    recovery = Recovery(stretches, 2)
-    assert [recovery.act(b"a", 0, np.zeros(1, np.float32)) for _ in range(5)] == [0] * 5
+    breaker = LoopBreaker(stretches, 0)
+    assert [breaker.act(b"a", 0, np.zeros(1, np.float32)) for _ in range(5)] == [0] * 5
 
 
 def test_every_episode_draws_the_same(stretches):
-    recovery = Recovery(stretches, 2)
+    breaker = LoopBreaker(stretches, 0)
     runs = []
     for _ in range(2):
-        recovery.reset()
-        runs.append([recovery.act(b"a", 0, scores(2, 1)) for _ in range(40)])
+        breaker.reset()
+        runs.append([breaker.act(b"a", 0, scores(2, 1)) for _ in range(40)])
     assert runs[0] == runs[1]
 
 
@@ -140,8 +143,56 @@ def test_every_episode_draws_the_same(stretches):
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 1)), max_size=60))
 def test_the_planner_decides_or_a_demonstrator_of_the_macro_action(steps):
     stretches = Stretches.of(LABELS, ACTIONS, LENGTHS)
-    recovery = Recovery(stretches, 2)
+    breaker = LoopBreaker(stretches, 0)
     known = [set(np.concatenate(stretches.of_macro(macro)).tolist()) for macro in range(2)]
-    for sight, macro in steps:
-        action = recovery.act(bytes([sight]), macro, scores(2, 1))
-        assert action in {1, *known[macro]} if recovery.replaying else action == 2
+    for frame, macro in steps:
+        action = breaker.act(bytes([frame]), macro, scores(2, 1))
+        assert action in {1, *known[macro]} if breaker.replaying else action == 2
+
+
+class Flickering:
+    """A policy of three actions under one macro-action, 2 before 1 before 0, whatever it sees."""
+
+    device = torch.device("cpu")
+    config = PolicyConfig("baseline", 1, 0, ("a", "b", "c"), (2, 2), "pixels")
+
+    def initial_state(self, batch):
+        return PolicyState(torch.zeros(batch).long(), torch.full((batch,), -1))
+
+    def decide(self, images, state):
+        return torch.tensor([[0.0, 1.0, 2.0]]), PolicyState(state.macro, state.action, images)
+
+
+FRAME = {"pixels": np.zeros((2, 2, 3), np.uint8)}
+
+
+def taken(planner, steps):
+    planner.reset()
+    return [planner.act(FRAME, {}) for _ in range(steps)]
+
+
+def test_a_planner_in_a_loop_takes_the_second_best_action():
+    """Its first decision sees one frame, the next ones two; the third is the first that was made before."""
+    stretches = Stretches.of(torch.zeros(4).long(), torch.tensor([0, 1, 0, 1]), torch.tensor([4]))
+    planner = RecoveringPlanner(MacroPlanner(Flickering()), stretches, 0)
+    for _ in range(2):
+        assert taken(planner, 8) == [2, 2, 1, 2, 1, 0, 2, 1]
+    assert taken(MacroPlanner(Flickering()), 8) == [2] * 8
+
+
+def test_switch_functions_and_runs_know_what_recovery_did():
+    stretches = Stretches.of(torch.zeros(2).long(), torch.tensor([1, 0]), torch.tensor([2]))
+    planner = RecoveringPlanner(MacroPlanner(Flickering()), stretches, 0)
+    assert planner.memory is None and planner.macro == 0
+    for action in taken(planner, 3)[2:]:
+        assert action == 1 and planner.planner.memory == (0, 1)
+    assert isinstance(planner, Planner)
+
+
+def test_the_seed_decides_what_is_drawn():
+    lengths = torch.tensor([9] * 6)
+    actions = torch.cat([torch.tensor([1, *[number] * 8]) for number in range(6)])
+    stretches = Stretches.of(torch.zeros(54).long(), actions, lengths)
+    runs = [taken(RecoveringPlanner(MacroPlanner(Flickering()), stretches, seed), 40) for seed in range(4)]
+    again = taken(RecoveringPlanner(MacroPlanner(Flickering()), stretches, 3), 40)
+    assert runs[3] == again and len({tuple(run) for run in runs}) > 1
