@@ -1,23 +1,19 @@
-"""Run a saved policy, or the teacher, in its world and count successes; or look at a policy's segmentation.
+"""Run a saved policy, or the teacher, in its world and count successes.
 
     python eval.py --policy.path=outputs/train/.../checkpoints/last/pretrained_model --workers=2
     python eval.py --policy.type=teacher --world.flags=fixed --videos=3
-    python eval.py --segmentation --policy.path=outputs/train/.../pretrained_model --dataset.root=datasets/...
 
 Prints successes, their rate with its 95% interval, how the failures split and why they failed, and writes the
-same to `eval_info.json` in LeRobot's form, TensorBoard scalars beside it. Of a planner without recovery a run
-that begins to repeat itself ends there, as the failure that it is; its steps are those until then. With
-`--segmentation` no world runs: the policy cuts demonstrations into its macro-actions; `segmentation.html`,
-`segmentation.json`, pictures in `figures/` and TensorBoard events show how.
+same to `eval_info.json` in LeRobot's form, TensorBoard scalars beside it. A run that begins to repeat itself
+ends there, as the failure that it is, and counts its steps until then; a policy with recovery goes on.
 """
 
 import json
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, make_dataclass
+from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from datetime import datetime
-from multiprocessing import parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,18 +29,8 @@ from dpmacro.worlds.two_flags.env import ACTIONS, TwoFlagsConfig
 
 # Every worker process imports this file again: what only the parent needs is imported where it is used.
 
-if TYPE_CHECKING or parent_process() is None:
-    from dpmacro.training.options import DatasetOptions
-else:
-    DatasetOptions = object
-
 WORLD = "TwoFlags-v0"
-
-VIDEO_EVERY = 4
-
-FOR_TRAINING = ("--dataset.symmetric=", "--dataset.image_size=")
-FOR_RUNS = ("--world.", "--episodes=", "--workers=", "--videos=", "--policy.recovery=")
-FOR_SEGMENTATIONS = ("--dataset.", "--tolerance=")
+VIDEO_EVERY = 4  # steps that a video shows as one frame
 
 # The world's own options, each None unless given, so that those a policy was trained with stay.
 if TYPE_CHECKING:
@@ -83,15 +69,10 @@ class EvalOptions:
 
     policy: PolicyOptions = field(default_factory=PolicyOptions)
     world: WorldOptions = field(default_factory=WorldOptions)
-    segmentation: bool = field(default=False, metadata={"custom_args": {"nargs": "?", "const": "true"}})
-    """Cut the demonstrations of --dataset.root with a --policy.path, instead of running it."""
-    dataset: DatasetOptions = field(default_factory=DatasetOptions)
-    tolerance: int = 10
-    """Frames by which a found change point may miss a true one, with --segmentation."""
     episodes: int = 100
     """Runs, each with its own seed."""
     seed: int = 10000
-    """Seed of the first run; the others follow it. With --segmentation that of the random cuts."""
+    """Seed of the first run; every further run takes the next."""
     workers: int = 1
     """Processes that share the runs; the results do not depend on it."""
     videos: int = 0
@@ -102,55 +83,20 @@ class EvalOptions:
     """Name of the evaluation; by default that of what runs."""
 
     def __post_init__(self) -> None:
-        _refuse(self, FOR_TRAINING, "is for train.py: leave it out")
-        if self.segmentation:
-            if self.policy.path is None or self.policy.type is not None:
-                raise ValueError(
-                    "a saved policy cuts demonstrations: give --policy.path alone to --segmentation"
-                )
-            if self.dataset.root is None:
-                raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
-            _refuse(self, FOR_RUNS, "is for runs: leave it out with --segmentation")
-        else:
-            _refuse(self, FOR_SEGMENTATIONS, "is for --segmentation: give that, too")
         if (self.policy.path is None) == (self.policy.type is None):
             raise ValueError("give either --policy.path=<a run's pretrained_model> or --policy.type=teacher")
         if self.policy.type not in (None, "teacher"):
             raise ValueError(
                 f"--policy.type={self.policy.type} is unknown: choose teacher or give a --policy.path"
             )
-        if self.policy.type is not None:
-            _refuse(self, ("--policy.recovery=",), "is for saved policies: leave it out")
-        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0), ("tolerance", 0)):
+        if self.policy.type is not None and self.policy.recovery is not None:
+            raise ValueError(f"--policy.recovery={self.policy.recovery} is for saved policies: leave it out")
+        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"--{name}={getattr(self, name)}: it must be at least {least}")
 
 
-def _refuse(options: EvalOptions, starts: tuple[str, ...], why: str) -> None:
-    """Raise ValueError for the first option that begins like one of these and is not its default."""
-    for option in _changed(options, "--"):
-        if option.startswith(starts):
-            raise ValueError(f"{option} {why}")
-
-
-def _changed(options: Any, prefix: str) -> Iterator[str]:
-    """Every option that is not its default, as it may have been written."""
-    for option in fields(options):
-        value, name = getattr(options, option.name), f"{prefix}{option.name}"
-        if is_dataclass(value):
-            yield from _changed(value, f"{name}.")
-        elif value != option.default:
-            yield f"{name}={value}"
-
-
 def main(options: EvalOptions) -> None:
-    if options.segmentation:
-        show_segmentation(options)
-    else:
-        count_successes(options)
-
-
-def count_successes(options: EvalOptions) -> None:
     """Run the planner in its world; print how it fared, and write it down."""
     from dpmacro.evaluation.summary import eval_info, run_text, write_scalars
 
@@ -217,41 +163,6 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
     saved = bool(getattr(config, "recovery", False))
     recovery = saved if options.recovery is None else options.recovery
     return PlannerSource("policy", options.path, recovery), config.type, stored
-
-
-def show_segmentation(options: EvalOptions) -> None:
-    """Cut demonstrations with a policy; print how that agrees with the truth, and write a report."""
-    from dpmacro.annotation.annotate import annotate
-    from dpmacro.annotation.pictures import picture_count, pictures
-    from dpmacro.annotation.report import PAGE, SHOWN, SUMMARY, score_text, write_report
-    from dpmacro.annotation.summary import Findings
-    from dpmacro.data.demonstrations import Demonstrations
-    from dpmacro.policy.policy import MacroPolicy
-
-    path, dataset = options.policy.path, options.dataset
-    assert path is not None and dataset.root is not None, "the options checked it"
-    output_dir = options.output_dir or default_output_dir(options.job_name or "segmentation")
-    if (output_dir / SUMMARY).exists():
-        raise ValueError(f"{output_dir} already holds a {SUMMARY}: give another --output_dir")
-    policy = MacroPolicy.load(path)
-    demonstrations = Demonstrations.load(
-        dataset.root, dataset.episodes, dataset.camera, dataset.truth, policy.config.sight
-    )
-    findings = Findings(
-        policy,
-        demonstrations,
-        annotate(policy, demonstrations),
-        tuple(dataset.episodes or range(len(demonstrations.lengths))),
-        {"dataset": str(dataset.root), "policy": str(path)},
-        options.tolerance,
-        options.seed,
-    )
-    with tqdm(pictures(findings, SHOWN), "Pictures", picture_count(findings, SHOWN), unit="picture") as made:
-        write_report(findings, iter(made), output_dir)
-    if findings.scores:
-        print(score_text(findings))
-    print(f"page        {output_dir / PAGE}")
-    print(f"pictures    {output_dir / 'figures'}")
 
 
 def default_output_dir(job_name: str) -> Path:

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int, UInt8
 from matplotlib.figure import Figure
 
 from dpmacro import figures
-from dpmacro.annotation.summary import Findings
+from dpmacro.annotation.summary import Summary
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.policy.policy import MacroPolicy
 
@@ -36,22 +36,22 @@ class Picture:
     caption: str = ""
 
 
-def pictures(findings: Findings, shown: int) -> Iterator[Picture]:
+def pictures(summary: Summary, shown: int) -> Iterator[Picture]:
     """Made one at a time: those of the dataset, then the first `shown` demonstrations."""
-    yield _timelines(findings)
-    yield _graph(findings)
-    if len(findings.cost_by_bound) > 1:
-        yield _elbow(findings)
-    if (weights := chosen_pixels(findings.policy)) is not None:
-        yield _heat_maps(findings, weights)
-    for place in range(min(shown, len(findings.episodes))):
-        yield _timeline(findings, place)
+    yield _timelines(summary)
+    yield _graph(summary)
+    if len(summary.cost_by_bound) > 1:
+        yield _elbow(summary)
+    if (weights := chosen_pixels(summary.policy)) is not None:
+        yield _heat_maps(summary, weights)
+    for place in range(min(shown, len(summary.episodes))):
+        yield _timeline(summary, place)
 
 
-def picture_count(findings: Findings, shown: int) -> int:
+def picture_count(summary: Summary, shown: int) -> int:
     """How many `pictures` there are."""
-    optional = (len(findings.cost_by_bound) > 1) + (chosen_pixels(findings.policy) is not None)
-    return 2 + optional + min(shown, len(findings.episodes))
+    optional = (len(summary.cost_by_bound) > 1) + (chosen_pixels(summary.policy) is not None)
+    return 2 + optional + min(shown, len(summary.episodes))
 
 
 def chosen_pixels(policy: MacroPolicy) -> Float[np.ndarray, "macros height width"] | None:
@@ -74,43 +74,43 @@ def mean_images(
     return result
 
 
-def _timelines(findings: Findings) -> Picture:
-    demonstrations = findings.demonstrations
+def _timelines(summary: Summary) -> Picture:
+    demonstrations = summary.demonstrations
     figure = figures.timelines(
-        findings.labels,
-        findings.lengths,
+        summary.labels,
+        summary.lengths,
         demonstrations.truth,
         truth_name=demonstrations.truth_name,
         truth_classes=demonstrations.truth_classes,
-        confidence=findings.frame_confidence,
-        numbers=findings.episodes,
+        confidence=summary.frame_confidence,
+        numbers=summary.episodes,
     )
     below = "" if demonstrations.truth is None else ", the true classes below them in grey"
     caption = f"Macro-actions in colour{below}. Pale colours are frames that another label explains as well."
-    alt = f"{len(findings.episodes)} demonstrations as bars along time, a colour for every macro-action"
+    alt = f"{len(summary.episodes)} demonstrations as bars along time, a colour for every macro-action"
     return Picture("segmentation", "All demonstrations", figure, alt, caption)
 
 
-def _graph(findings: Findings) -> Picture:
-    figure = figures.transition_graph(findings.labels, findings.lengths)
-    counts = figures.edge_counts(findings.labels, findings.lengths)
+def _graph(summary: Summary) -> Picture:
+    figure = figures.transition_graph(summary.labels, summary.lengths)
+    counts = figures.edge_counts(summary.labels, summary.lengths)
     edges = sorted(counts.items(), key=lambda edge: -edge[1])[:TOLD]
     alt = "Most frequent: " + ", ".join(f"{a} to {b} {count} times" for (a, b), count in edges)
     caption = "Percentages are shares of frames, numbers how often one macro-action follows another."
     return Picture("transitions", "Transitions", figure, alt, caption)
 
 
-def _elbow(findings: Findings) -> Picture:
-    cost = findings.cost_by_bound
+def _elbow(summary: Summary) -> Picture:
+    cost = summary.cost_by_bound
     figure = figures.elbow(cost, len(cost) - 1)
     alt = "Cost per frame: " + ", ".join(f"{value:.3f} at S = {s}" for s, value in enumerate(cost))
     caption = "What another transition saves. A bound beyond the bend cuts where nothing changes."
     return Picture("elbow", "Cost by bound", figure, alt, caption)
 
 
-def _heat_maps(findings: Findings, weights: Float[np.ndarray, "macros height width"]) -> Picture:
-    macros = findings.macros
-    means = mean_images(findings.demonstrations.images, findings.labels, len(macros))
+def _heat_maps(summary: Summary, weights: Float[np.ndarray, "macros height width"]) -> Picture:
+    macros = summary.macros
+    means = mean_images(summary.demonstrations.images, summary.labels, len(macros))
     names = [f"macro-action {macro['macro']}, {macro['share']:.0%} of frames" for macro in macros]
     alt = "For every macro-action its mean image, and in grey with the pixels its classifier weighs"
     caption = (
@@ -122,25 +122,25 @@ def _heat_maps(findings: Findings, weights: Float[np.ndarray, "macros height wid
     )
 
 
-def _timeline(findings: Findings, place: int) -> Picture:
-    demonstrations = findings.demonstrations
-    frames, episode = demonstrations.trajectories[place], findings.episodes[place]
+def _timeline(summary: Summary, place: int) -> Picture:
+    demonstrations = summary.demonstrations
+    frames, episode = demonstrations.trajectories[place], summary.episodes[place]
     figure = figures.timeline(
         demonstrations.images[frames],
-        findings.labels[frames],
+        summary.labels[frames],
         demonstrations.actions[frames],
         None if demonstrations.truth is None else demonstrations.truth[frames],
         f"Demonstration {episode}",
         demonstrations.action_names,
         demonstrations.truth_name,
         demonstrations.truth_classes,
-        findings.frame_confidence[frames],
+        summary.frame_confidence[frames],
     )
-    found = findings.segments[place]
+    found = summary.segments[place]
     told = ", then ".join(f"macro-action {macro} to frame {end}" for macro, _, end in found[:TOLD])
     rest = f", and {len(found) - TOLD} more segments" if len(found) > TOLD else ""
-    caption = f"{findings.lengths[place]} frames, mean confidence {findings.confidence[place]:.2f}"
-    if findings.agreement is not None:
-        caption += f", {findings.agreement[place]:.1%} of them agree with the truth"
+    caption = f"{summary.lengths[place]} frames, mean confidence {summary.confidence[place]:.2f}"
+    if summary.agreement is not None:
+        caption += f", {summary.agreement[place]:.1%} of them agree with the truth"
     alt = f"Demonstration {episode}: {told}{rest}"
     return Picture(f"demonstration_{episode:03d}", "Demonstrations", figure, alt, caption)

@@ -1,4 +1,4 @@
-"""What a policy makes of demonstrations, in numbers: segments, and scores beside those of chance."""
+"""The numbers of a policy's segmentation of demonstrations: segments, and scores beside those of chance."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -13,7 +13,7 @@ from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.metrics import match_labels, random_cuts_like, segmentation_scores, segments, uniform_cuts
 from dpmacro.policy.policy import MacroPolicy
 
-__all__ = ["SCORES", "Findings"]
+__all__ = ["SCORES", "Summary"]
 
 DRAWS = 20  # of random cuts, whose scores are averaged
 SCORES = {  # names of `SegmentationScores` for people
@@ -33,13 +33,13 @@ SCORES = {  # names of `SegmentationScores` for people
 
 
 @dataclass(frozen=True)
-class Findings:
+class Summary:
     """A policy's segmentation of demonstrations.
 
     Attributes:
         policy: what segmented them.
         demonstrations: what was segmented.
-        annotation: macro-labels, how sure they are, and the cost under every bound.
+        annotation: macro-labels, their confidence, and the cost under every bound.
         episodes: the demonstrations' numbers in their dataset.
         sources: where the dataset and the policy are.
         tolerance: frames by which a found change point may miss a true one.
@@ -66,7 +66,7 @@ class Findings:
 
     @cached_property
     def frame_confidence(self) -> Float[np.ndarray, " frames"]:
-        """How sure every frame's label is, 0..1."""
+        """The confidence in every frame's label, 0..1, as `annotate` defines it."""
         return self.annotation.confidence.numpy()
 
     @cached_property
@@ -86,13 +86,13 @@ class Findings:
         if truth is None:
             return {}
         generator = np.random.default_rng(self.seed)
-        rivals = {
+        labellings = {
             "policy": [self.labels],
             "uniform cuts": [uniform_cuts(truth, self.lengths)],
             "random cuts": [random_cuts_like(truth, self.lengths, generator) for _ in range(DRAWS)],
         }
         result = {}
-        for method, drawn in rivals.items():
+        for method, drawn in labellings.items():
             scored = [
                 asdict(segmentation_scores(labels, truth, self.lengths, self.tolerance)) for labels in drawn
             ]
@@ -138,8 +138,8 @@ class Findings:
             )
         return result
 
-    def summary(self) -> dict[str, Any]:
-        """Everything, as JSON holds it."""
+    def as_json(self) -> dict[str, Any]:
+        """Return all of it in the form of segmentation.json."""
         agreement: Sequence[float | None] = self.agreement or [None] * len(self.episodes)
         rows = zip(
             self.episodes, self.lengths.tolist(), self.segments, self.confidence, agreement, strict=True

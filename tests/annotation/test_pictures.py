@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from segmented import SHAPE, random_policy, some_findings
+from segmented import SHAPE, random_policy, some_summary
 
 from dpmacro.annotation.pictures import chosen_pixels, mean_images, picture_count, pictures
 from dpmacro.boosting.learners.convnet import ConvNetClassifier
@@ -19,8 +19,8 @@ def network():
 
 
 def test_every_picture_has_a_name_and_words():
-    findings = some_findings()
-    made = list(pictures(findings, 2))
+    summary = some_summary()
+    made = list(pictures(summary, 2))
     assert [picture.name for picture in made] == [
         "segmentation",
         "transitions",
@@ -29,7 +29,7 @@ def test_every_picture_has_a_name_and_words():
         "demonstration_004",
         "demonstration_007",
     ]
-    assert picture_count(findings, 2) == len(made)
+    assert picture_count(summary, 2) == len(made)
     assert all(picture.alt and picture.heading for picture in made)
     assert made[4].alt == "Demonstration 4: macro-action 2 to frame 6, then macro-action 0 to frame 12"
     assert "start to 2 3 times" in made[1].alt
@@ -37,16 +37,16 @@ def test_every_picture_has_a_name_and_words():
 
 
 def test_what_cannot_be_drawn_is_left_out():
-    findings = some_findings(truth=False, bounds=1)
-    networks = replace(findings.policy, actor=network())
-    findings = replace(findings, policy=networks)
+    summary = some_summary(truth=False, bounds=1)
+    networks = replace(summary.policy, actor=network())
+    summary = replace(summary, policy=networks)
     assert chosen_pixels(networks) is None
-    assert [picture.name for picture in pictures(findings, 1)] == [
+    assert [picture.name for picture in pictures(summary, 1)] == [
         "segmentation",
         "transitions",
         "demonstration_004",
     ]
-    assert picture_count(findings, 1) == 3
+    assert picture_count(summary, 1) == 3
 
 
 @pytest.mark.parametrize("kind", FEATURES)

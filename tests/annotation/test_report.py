@@ -4,7 +4,7 @@ import json
 
 import matplotlib.image
 import pytest
-from segmented import some_findings
+from segmented import some_summary
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dpmacro.annotation.pictures import pictures
@@ -18,8 +18,8 @@ NAMES = {"segmentation", "transitions", "elbow", "pixels"}
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
-    findings = some_findings()
-    write_report(findings, pictures(findings, 2), folder)
+    summary = some_summary()
+    write_report(summary, pictures(summary, 2), folder)
     return folder
 
 
@@ -49,9 +49,9 @@ def test_pictures_numbers_and_events(folder):
     assert names == {*NAMES, "demonstration_004", "demonstration_007"}
     for path in (folder / "figures").iterdir():
         assert matplotlib.image.imread(path).std() > 0.05
-    summary = json.loads((folder / "segmentation.json").read_text())
-    assert summary["scores"]["policy"]["accuracy"] == 1 and summary["policy"] == "runs/<one>"
-    assert summary["demonstrations"][0]["segments"] == [[2, 0, 6], [0, 6, 12]]
+    numbers = json.loads((folder / "segmentation.json").read_text())
+    assert numbers["scores"]["policy"]["accuracy"] == 1 and numbers["policy"] == "runs/<one>"
+    assert numbers["demonstrations"][0]["segments"] == [[2, 0, 6], [0, 6, 12]]
     events = EventAccumulator(str(folder / "tensorboard")).Reload()
     assert {f"figures/{name}" for name in names} == set(events.Tags()["images"])
     assert events.Scalars("segmentation/accuracy")[0].value == 1
@@ -62,14 +62,14 @@ def test_pictures_numbers_and_events(folder):
 
 def test_without_truth_or_stumps_the_page_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr("dpmacro.annotation.report.chosen_pixels", lambda policy: None)
-    findings = some_findings(truth=False)
-    write_report(findings, iter([]), tmp_path)
+    summary = some_summary(truth=False)
+    write_report(summary, iter([]), tmp_path)
     text = "".join(Reader((tmp_path / "segmentation.html").read_text()).texts)
     assert "no column of true labels" in text and "no map of chosen pixels" in text
 
 
 def test_scores_stand_in_columns():
-    lines = score_text(some_findings()).splitlines()
+    lines = score_text(some_summary()).splitlines()
     assert lines[0].split("   ")[-1].strip() == "random cuts" and len({len(line) for line in lines}) == 1
     assert lines[1].startswith("frames that agree") and lines[1].split()[3] == "1.000"
     assert lines[-1].split() == ["true", "segments", "6", "6", "6"]

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from dpmacro.annotation.annotate import Annotation
-from dpmacro.annotation.summary import Findings
+from dpmacro.annotation.summary import Summary
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.features.base import make_features
@@ -19,16 +19,16 @@ LENGTHS = np.array([12, 7, 9])
 NAMES = ("forward", "turn <left>", "turn right")
 
 
-def random_policy(kind="rectangles", macros=3):
+def random_policy(kind="rectangles", macros=3, shape=SHAPE, names=NAMES):
     """Five random stumps for every macro-action."""
     generator = torch.Generator().manual_seed(0)
-    features = make_features(kind, *SHAPE, 40, generator)
+    features = make_features(kind, *shape, 40, generator)
     actor = StumpClassifier(
         torch.randint(features.count, (5, macros), generator=generator),
         torch.randint(256, (5, macros), generator=generator).to(torch.uint8),
-        torch.randn(5, macros, 2, len(NAMES), generator=generator),
+        torch.randn(5, macros, 2, len(names), generator=generator),
     )
-    config = PolicyConfig("dpboost", macros, 0, NAMES, SHAPE, kind)
+    config = PolicyConfig("dpboost", macros, 0, names, shape, kind)
     quantiser = Quantiser(torch.arange(255, dtype=torch.int32).repeat(features.count, 1))
     return MacroPolicy.compact(config, features, quantiser, actor, None)
 
@@ -51,7 +51,7 @@ def random_demonstrations(truth=True):
     )
 
 
-def some_findings(truth=True, labels=None, bounds=3, policy=None):
+def some_summary(truth=True, labels=None, bounds=3, policy=None):
     """The true phases as macro-actions 2 and 0 of three, unless others are given; unsure in the second."""
     demonstrations = random_demonstrations(truth)
     if labels is None:
@@ -61,4 +61,4 @@ def some_findings(truth=True, labels=None, bounds=3, policy=None):
     cost = np.linspace(3, 1, bounds) * LENGTHS[:, None].astype(float)
     sources = {"dataset": "data/noise & more", "policy": "runs/<one>"}
     annotation = Annotation(*map(torch.from_numpy, (labels, confidence, cost)))
-    return Findings(policy or random_policy(), demonstrations, annotation, (4, 7, 5), sources)
+    return Summary(policy or random_policy(), demonstrations, annotation, (4, 7, 5), sources)

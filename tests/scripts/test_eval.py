@@ -10,11 +10,9 @@ from pathlib import Path
 import av
 import pytest
 import torch
-from noise import random_episodes
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dpmacro.boosting.learners.stumps import StumpClassifier
-from dpmacro.data.lerobot.writer import DemonstrationWriter
 from dpmacro.features.base import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.success import wilson_interval
@@ -109,7 +107,7 @@ def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tm
     ours = json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]
     expected = {**WORLD, "yaw_noise": 0.0, "renderer": "tiny"}
     assert ours["world"] == expected
-    assert (ours["planner"], ours["policy_path"], ours["recovery"]) == ("dpboost", str(policy), True)
+    assert (ours["planner"], ours["policy_path"], ours["recovery"]) == ("dpboost", str(policy), False)
     assert sum(failure["runs"] for failure in ours["failures"]) == 2
     assert {failure["macro"] for failure in ours["failures"]} <= {0, 1}
     assert ", macro-action " in capsys.readouterr().out
@@ -177,30 +175,8 @@ def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
         (["--policy.type=teacher", "--world.flags=none"], "choose 'random' or 'fixed'"),
         (["--policy.type=teacher", "--world.walls=3"], "unknown option --world.walls"),
         (["--policy.type=teacher", "--episods=3"], "did you mean --episodes?"),
-        (["--segmentation", "--dataset.root=x"], "give --policy.path alone to --segmentation"),
-        (["--segmentation=true", "--policy.type=teacher"], "give --policy.path alone to --segmentation"),
-        (["--segmentation", "--policy.path=x"], "no demonstrations: give --dataset.root"),
-        (["--segmentation", "--policy.path=x", "--dataset.root=y"], "x holds no config.json"),
-        (
-            ["--segmentation", "--policy.path=x", "--dataset.root=y", "--tolerance=-1"],
-            "--tolerance=-1: it must",
-        ),
-        (["--segmentation=maybe", "--policy.path=x"], "maybe"),
-        (["--policy.type=teacher", "--dataset.root=y"], "--dataset.root=y is for --segmentation"),
-        (["--policy.type=teacher", "--tolerance=3"], "--tolerance=3 is for --segmentation"),
-        (["--policy.type=teacher", "--dataset.symmetric=true"], "--dataset.symmetric=True is for train.py"),
-        *(
-            (["--segmentation", "--policy.path=x", "--dataset.root=y", option], f"{told} is for")
-            for option, told in {
-                "--episodes=5": "--episodes=5",
-                "--workers=2": "--workers=2",
-                "--videos=1": "--videos=1",
-                "--world.max_steps=9": "--world.max_steps=9",
-                "--policy.recovery=false": "--policy.recovery=False",
-                "--dataset.symmetric=true": "--dataset.symmetric=True",
-                "--dataset.image_size=[8,6]": "--dataset.image_size=(8, 6)",
-            }.items()
-        ),
+        (["--policy.type=teacher", "--policy.recovery=false"], "--policy.recovery=False is for saved"),
+        (["--segmentation", "--policy.path=x"], "unknown option --segmentation"),
     ],
 )
 def test_bad_options_are_one_line_and_status_2(options, message, script, tmp_path, monkeypatch, capsys):
@@ -282,46 +258,6 @@ def test_a_mistake_as_a_command(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert "--policy.type=wizard is unknown" in done.stderr
-
-
-def test_a_segmentation_as_a_command(policy, recorded, tmp_path):
-    options = [f"--policy.path={policy}", f"--dataset.root={recorded}", f"--output_dir={tmp_path}"]
-    command = [sys.executable, str(SCRIPT), "--segmentation", *options, "--tolerance=1"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "uniform cuts" in done.stdout and "frames that agree" in done.stdout
-    assert str(tmp_path / "segmentation.html") in done.stdout and "Pictures: 100%" in done.stderr
-    summary = json.loads((tmp_path / "segmentation.json").read_text())
-    assert [row["frames"] for row in summary["demonstrations"]] == [12, 7, 2, 9]
-    assert (summary["truth"], summary["tolerance"]) == ("phase", 1)
-    assert 0 <= summary["scores"]["policy"]["accuracy"] <= 1
-    assert {f"demonstration_{k:03d}.png" for k in range(4)} <= {
-        path.name for path in (tmp_path / "figures").iterdir()
-    }
-    assert "data:image/png;base64," in (tmp_path / "segmentation.html").read_text()
-
-
-def test_a_segmentation_of_some_episodes(script, policy, recorded, tmp_path, monkeypatch, capsys):
-    options = ["--segmentation", f"--policy.path={policy}", f"--dataset.root={recorded}"]
-    call(script, monkeypatch, *options, "--dataset.episodes=[3,1]", f"--output_dir={tmp_path / 'some'}")
-    summary = json.loads((tmp_path / "some" / "segmentation.json").read_text())
-    assert [row["episode"] for row in summary["demonstrations"]] == [3, 1]
-    capsys.readouterr()
-    with pytest.raises(SystemExit) as exit_:
-        call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'some'}")
-    assert exit_.value.code == 2 and "already holds a segmentation.json" in capsys.readouterr().err
-
-
-def test_a_dataset_of_another_size_is_refused(script, policy, tmp_path, monkeypatch, capsys):
-    with DemonstrationWriter.create(tmp_path / "small", ACTIONS, 30, {}, view=False) as writer:
-        for episode in random_episodes(shape=(24, 32, 3)):
-            writer.add_episode(**episode)
-    with pytest.raises(SystemExit) as exit_:
-        options = ["--segmentation", f"--policy.path={policy}", f"--dataset.root={tmp_path / 'small'}"]
-        call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'out'}")
-    error = capsys.readouterr().err
-    assert exit_.value.code == 2 and "images are 32x24, the policy was trained on 64x48" in error
-    assert error.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 def test_a_worker_imports_no_torch(script):

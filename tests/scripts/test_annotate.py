@@ -1,0 +1,105 @@
+"""datasets/annotate.py as a user runs it."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from noise import random_episodes
+from segmented import random_policy
+
+from dpmacro.data.lerobot.writer import DemonstrationWriter
+from dpmacro.utils import cli
+from dpmacro.worlds.two_flags.env import ACTIONS
+
+SCRIPT = Path(__file__).parents[2] / "datasets" / "annotate.py"
+
+
+@pytest.fixture(scope="module")
+def script():
+    spec = importlib.util.spec_from_file_location("annotate_script", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("policy")
+    random_policy("pixels", 2, (48, 64), ACTIONS).save(folder)
+    return folder
+
+
+def call(script, monkeypatch, *options):
+    monkeypatch.setattr(sys, "argv", ["annotate.py", *map(str, options)])
+    cli.run(script.main, script.AnnotateOptions)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--dataset.root=x"], "no policy: give --policy.path"),
+        (["--policy.path=x"], "no demonstrations: give --dataset.root"),
+        (["--policy.path=x", "--dataset.root=y"], "x holds no config.json"),
+        (["--policy.path=x", "--dataset.root=y", "--tolerance=-1"], "--tolerance=-1: it must be at least 0"),
+        (["--policy.path=x", "--dataset.root=y", "--seed=-1"], "--seed=-1: it must be at least 0"),
+        *(
+            (["--policy.path=x", "--dataset.root=y", option], f"unknown option {option.split('=')[0]}")
+            for option in ("--episodes=5", "--policy.recovery=true", "--dataset.image_size=[8,6]")
+        ),
+    ],
+)
+def test_bad_options_are_one_line_and_status_2(options, message, script, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'out'}")
+    error = capsys.readouterr().err
+    assert exit_.value.code == 2
+    assert error.startswith("error: ") and error.count("\n") == 1 and message in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_by_date_ends_in_the_datasets_name(script):
+    assert script.default_output_dir(Path("data/100%Flags")).name.endswith("_100%Flags")
+
+
+def test_a_segmentation_as_a_command(policy, recorded, tmp_path):
+    options = [f"--policy.path={policy}", f"--dataset.root={recorded}", f"--output_dir={tmp_path}"]
+    command = [sys.executable, str(SCRIPT), *options, "--tolerance=1"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "uniform cuts" in done.stdout and "frames that agree" in done.stdout
+    assert str(tmp_path / "segmentation.html") in done.stdout and "Pictures: 100%" in done.stderr
+    numbers = json.loads((tmp_path / "segmentation.json").read_text())
+    assert [row["frames"] for row in numbers["demonstrations"]] == [12, 7, 2, 9]
+    assert (numbers["truth"], numbers["tolerance"]) == ("phase", 1)
+    assert 0 <= numbers["scores"]["policy"]["accuracy"] <= 1
+    assert {f"demonstration_{k:03d}.png" for k in range(4)} <= {
+        path.name for path in (tmp_path / "figures").iterdir()
+    }
+    assert "data:image/png;base64," in (tmp_path / "segmentation.html").read_text()
+
+
+def test_a_segmentation_of_some_episodes(script, policy, recorded, tmp_path, monkeypatch, capsys):
+    options = [f"--policy.path={policy}", f"--dataset.root={recorded}"]
+    call(script, monkeypatch, *options, "--dataset.episodes=[3,1]", f"--output_dir={tmp_path / 'some'}")
+    numbers = json.loads((tmp_path / "some" / "segmentation.json").read_text())
+    assert [row["episode"] for row in numbers["demonstrations"]] == [3, 1]
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'some'}")
+    assert exit_.value.code == 2 and "already holds a segmentation.json" in capsys.readouterr().err
+
+
+def test_a_dataset_of_another_size_is_refused(script, policy, tmp_path, monkeypatch, capsys):
+    with DemonstrationWriter.create(tmp_path / "small", ACTIONS, 30, {}, view=False) as writer:
+        for episode in random_episodes(shape=(24, 32, 3)):
+            writer.add_episode(**episode)
+    with pytest.raises(SystemExit) as exit_:
+        options = [f"--policy.path={policy}", f"--dataset.root={tmp_path / 'small'}"]
+        call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'out'}")
+    error = capsys.readouterr().err
+    assert exit_.value.code == 2 and "images are 32x24, the policy was trained on 64x48" in error
+    assert error.count("\n") == 1 and not (tmp_path / "out").exists()
