@@ -3,8 +3,6 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
-from statistics import NormalDist
 
 
 @dataclass(frozen=True)
@@ -57,8 +55,6 @@ class Paired:
 def wilson_interval(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
     """Interval of a success rate, in 0..1, that keeps its meaning at 0 and at 100% (Wilson 1927).
 
-        (p + z^2/2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2/n),  p = successes / n,  n = runs.
-
     Raises:
         ValueError: no runs, successes outside 0..runs, or a confidence outside (0, 1).
     """
@@ -66,20 +62,17 @@ def wilson_interval(successes: int, runs: int, confidence: float = 0.95) -> tupl
         raise ValueError(f"an interval needs runs >= 1 and 0 <= successes <= runs, got {successes} of {runs}")
     if not 0 < confidence < 1:
         raise ValueError(f"confidence is {confidence}, it must lie between 0 and 1, as 0.95 does")
-    z = NormalDist().inv_cdf((1 + confidence) / 2)
-    rate = successes / runs
-    centre = rate + z**2 / (2 * runs)
-    margin = z * sqrt(rate * (1 - rate) / runs + z**2 / (4 * runs**2))
-    scale = 1 + z**2 / runs
-    # At 0 and at 100% rounding could leave the rate itself a hair outside.
-    return max(0.0, min(rate, (centre - margin) / scale)), min(1.0, max(rate, (centre + margin) / scale))
+    from scipy.stats import binomtest  # late: eval.py's workers import this module and do not need it
+
+    interval = binomtest(successes, runs).proportion_ci(confidence, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
-    """Whether two planners differ, from the worlds in which one alone succeeds (McNemar 1947, exact).
+    """Exact test of whether two planners differ, by the worlds in which only one succeeds (McNemar 1947).
 
-    Were they equally good, each of the d = b + c worlds, b won by the first alone and c by the second alone,
-    would fall to either as a coin does:
+    The first planner alone succeeds in b worlds, the second alone in c. If both were equally good, b would be
+    binomial among the d = b + c worlds:
 
         p = P(|B - d/2| >= |b - d/2|),  B ~ Binomial(d, 1/2);  1 if d = 0.
 
@@ -88,7 +81,7 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
 
     Raises ValueError for no pairs, or sequences of different lengths.
     """
-    from scipy.stats import binomtest  # late: eval.py's workers import this module and do not need it
+    from scipy.stats import binomtest  # late, as above
 
     if len(first) != len(second) or not len(first):
         raise ValueError(f"{len(first)} and {len(second)} runs: give as many of each, 1 or more")

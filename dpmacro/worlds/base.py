@@ -71,7 +71,7 @@ class Diagnosis(Protocol):
 class SuccessOrFailure:
     """The diagnosis of a world that has none of its own: a run succeeds or its time runs out."""
 
-    outcomes = (SUCCESS, OUT_OF_TIME)
+    outcomes: tuple[str, ...] = (SUCCESS, OUT_OF_TIME)
 
     def outcome(self, info: Mapping[str, Any]) -> str:
         """Return `SUCCESS` where the info's `is_success` holds, `OUT_OF_TIME` elsewhere."""

@@ -43,7 +43,7 @@ HOME = 0.8
 class TwoFlagsDiagnosis:
     """The `worlds.base.Diagnosis` of TwoFlags."""
 
-    outcomes = OUTCOMES
+    outcomes: tuple[str, ...] = OUTCOMES
 
     def outcome(self, info: Mapping[str, Any]) -> str:
         """Return which of `OUTCOMES` a run has that ends with this info."""
