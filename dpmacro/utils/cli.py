@@ -5,25 +5,30 @@ Options are LeRobot's own kind (draccus): ``--group.field=value`` for every fiel
 """
 
 import difflib
+import inspect
 import re
 import sys
+import warnings
 from argparse import ArgumentParser as Argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import Field
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TextIO, TypeVar
 
 from draccus import cfgparsing
 from draccus.argparsing import ArgumentParser
 from draccus.parsers.decoding import decode
 from draccus.utils import DecodingError, DraccusException
 from draccus.wrappers.docstring import get_attribute_docstring
+from tqdm import tqdm
 from yaml import YAMLError
 
 Config = TypeVar("Config")
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
+PACKAGE = Path(__file__).resolve().parents[1]
 BARE_LIST = re.compile(r"input for a list type|Expected \d+ items|has no len\(\)")
 
 
@@ -64,10 +69,12 @@ def sentence_of(config_class: type, option: Field) -> dict[str, Any]:
 def run(main: Callable[[Config], None], config_class: type[Config]) -> None:
     """Parse the options, call `main`, and turn a user's mistake into one line and exit status 2.
 
-    A mistake is a ValueError or an OSError; anything else is a bug and keeps its traceback.
+    A mistake is a ValueError or an OSError; anything else is a bug and keeps its traceback. A UserWarning or
+    RuntimeWarning of this package, or of `main`'s own file, becomes one line as well.
     """
     try:
-        main(parse(config_class))
+        with _warnings_in_a_line(inspect.getfile(main)):
+            main(parse(config_class))
     except (ValueError, OSError) as error:
         line = " ".join(str(error).split())
         print(f"error: {line}", file=sys.stderr)
@@ -75,6 +82,31 @@ def run(main: Callable[[Config], None], config_class: type[Config]) -> None:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def _warnings_in_a_line(script: str) -> Iterator[None]:
+    """A warning that the package or the script raises is a line on stderr; others stay as they are."""
+    with warnings.catch_warnings():
+        show_others = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            own = filename == script or PACKAGE in Path(filename).resolve().parents
+            if own and issubclass(category, (UserWarning, RuntimeWarning)):
+                # Progress bars are cleared for the line and drawn again below it.
+                tqdm.write(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+            else:
+                show_others(message, category, filename, lineno, file, line)
+
+        warnings.showwarning = show
+        yield
 
 
 def _check_readable(arguments: Sequence[str]) -> None:

@@ -1,6 +1,8 @@
 """The scripts' front door: LeRobot-style options in, one line and status 2 for a mistake."""
 
+import json
 import sys
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -121,3 +123,40 @@ def test_a_bug_keeps_its_traceback(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["script.py"])
     with pytest.raises(KeyError):
         cli.run(main, Options)
+
+
+@pytest.mark.parametrize("category", [UserWarning, RuntimeWarning])
+@pytest.mark.parametrize("where", [cli.__file__, __file__])
+def test_a_warning_of_our_own_is_one_line(monkeypatch, capsys, category, where):
+    def main(options):
+        warnings.warn_explicit("the objective\n  rose", category, where, 1)
+
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    before = warnings.showwarning
+    cli.run(main, Options)
+    assert capsys.readouterr().err == "warning: the objective rose\n"
+    assert warnings.showwarning is before
+
+
+@pytest.mark.parametrize(
+    ("category", "where"), [(UserWarning, json.__file__), (DeprecationWarning, cli.__file__)]
+)
+def test_other_warnings_stay_as_they_are(monkeypatch, capsys, category, where):
+    def main(options):
+        warnings.warn_explicit("something else", category, where, 1)
+
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    with pytest.warns(category, match="something else"):
+        cli.run(main, Options)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_warning_and_a_mistake_are_a_line_each(monkeypatch, capsys):
+    def main(options):
+        warnings.warn("careful", UserWarning, stacklevel=1)
+        raise ValueError("too late")
+
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    with pytest.raises(SystemExit):
+        cli.run(main, Options)
+    assert capsys.readouterr().err.splitlines() == ["warning: careful", "error: too late"]
