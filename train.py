@@ -50,22 +50,18 @@ def main(options: TrainOptions) -> None:
         result = Trainer(demonstrations, options, folder).train()
     print(report(result, folder, time.perf_counter() - started))
     if demonstrations.truth is not None:
-        labels = result.discovery.labels.numpy()[: len(demonstrations.truth)]  # DAgger appends others
+        labels = result.found.labels.numpy()  # DAgger appends others
         print(truth_report(labels, demonstrations))
 
 
 def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     """What was found, for people."""
-    occupancy = result.discovery.labels.bincount(minlength=result.policy.config.macros).tolist()
+    found = result.found
+    occupancy = found.labels.bincount(minlength=result.policy.config.macros).tolist()
     lines = [] if result.choice is None else choice_report(result.choice)
-    lines += [
-        f"objective    {float(result.discovery.loss[-1]):.4f} a frame, {len(result.discovery.loss)} rounds"
-    ]
+    lines.append(f"objective    {float(found.loss[-1]):.4f} a frame, {len(found.loss)} rounds")
     lines += [f"macro {macro}      {frames} frames" for macro, frames in enumerate(occupancy)]
-    shares = result.switches.detected.tolist()
-    judges = "left-out demonstrations" if result.switches.left_out else "the demonstration it learned from"
-    for (source, target), share in zip(result.switches.pairs, shares, strict=True):
-        lines.append(f"switch {source}->{target}  recognises {share:.0%} of the changes in {judges}")
+    lines += switch_report(result)
     plan = result.plan
     searched = f"{plan.drawn} drawn at a time" if plan.drawn else "all sorted"
     lines += [
@@ -76,6 +72,31 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     ]
     lines += [f"TensorBoard  tensorboard --logdir={folder.tensorboard}"]
     return "\n".join(lines)
+
+
+def switch_report(result: TrainingResult) -> list[str]:
+    """How well the changes are recognised, and what else there is to know of them."""
+    found, lines = result.found, []
+    switches, discovery = found.switches, found.discovery
+    judges = "left-out demonstrations" if switches.left_out else "the demonstration it learned from"
+    for (source, target), share in zip(switches.pairs, switches.recognised.tolist(), strict=True):
+        lines.append(f"switch {source}->{target}  recognises {share:.0%} of the changes in {judges}")
+    if switches.pairs and switches.left_out:
+        lines.append(
+            "             (its threshold, cues and where changes were moved to are by other demonstrations)"
+        )
+    if discovery is not None and not discovery.kept.scores.runnable:
+        lines.append(
+            "warning      no segmentation was found whose changes can be recognised as they come. Hindsight "
+            "decided, and switch functions had no say in where changes lie (switch_weight is 0). The policy "
+            "will change its macro-action at wrong times; the labels may still be good"
+        )
+    if found.unsettled:
+        lines.append(
+            f"unsettled    switch functions were fitted to other labels on {found.unsettled} of "
+            f"{len(found.labels)} frames"
+        )
+    return lines
 
 
 def dagger_report(iteration: "Iteration") -> str:

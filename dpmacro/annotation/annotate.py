@@ -1,5 +1,6 @@
 """Macro-labels for demonstrations, new or old: the segmentation that a saved policy's classifiers want."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -7,18 +8,14 @@ from jaxtyping import Float, Float32, Int64
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames
-from dpmacro.boosting.loop import class_targets, exponentials_of
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.discovery.alternation import SwitchCosts
-from dpmacro.discovery.joint import charges_of
+from dpmacro.discovery.hindsight import CHUNK, SwitchTerms, action_costs, switch_terms_costs
 from dpmacro.features.base import frames_before
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.segmentation.marginals import margins
 from dpmacro.segmentation.recursion import segment
 
 __all__ = ["Annotation", "annotate"]
-
-CHUNK = 1024  # frames whose features stand in memory at once
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,8 @@ def annotate(
     frame is 1 - exp(-d), where d is what the best segmentation with another label there would cost more in
     exponential loss; it says how sharply these classifiers decide, which on the demonstrations they were
     trained on is sharper than on new ones. Where switch functions had a say in the training's segmentation
-    (dpmacro/discovery/joint.py), the policy's have theirs here.
+    (dpmacro/switching/costs.py), the policy's have theirs here, on the frames on which they may fire. On the
+    demonstrations that the policy was trained on the labels are those that the training reported.
 
     Args:
         policy: from a training run.
@@ -64,8 +62,7 @@ def annotate(
     if max_transitions is None:
         max_transitions = config.macros - 1 if config.max_transitions is None else config.max_transitions
     lengths = torch.from_numpy(demonstrations.lengths)
-    costs, switching = _costs(policy, demonstrations)
-    changing = None if switching is None else switching.changing
+    costs, changing = _costs(policy, demonstrations)
     found = segment(costs, lengths, max_transitions, changing)
     sure = margins(costs, lengths, max_transitions, found.labels, changing)
     confidence = -torch.expm1(-sure.clamp(min=0)).float()
@@ -83,23 +80,25 @@ def _same_actions(names: tuple[str, ...], known: tuple[str, ...]) -> bool:
 @torch.inference_mode()
 def _costs(
     policy: MacroPolicy, demonstrations: Demonstrations
-) -> tuple[Float[Tensor, "frames macros"], SwitchCosts | None]:
-    """c_n(q) = sum_m exp(-y_n^m f_q^m(x_n)) and the switch functions' costs of staying, and their costs."""
-    images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
-    before = frames_before(lengths)
-    actions = torch.from_numpy(demonstrations.actions).to(policy.device)
-    targets = class_targets(actions, len(policy.config.action_names))
-    costs, switches = [], []
+) -> tuple[Float[Tensor, "frames macros"], Float[Tensor, "frames macros macros"] | None]:
+    """Every frame's cost under every macro-action, and what changes cost; None where they cost nothing."""
+    lengths = torch.from_numpy(demonstrations.lengths)
+    actions = torch.from_numpy(demonstrations.actions)
+    costs = action_costs(_chunks(policy, demonstrations), policy.actor, actions)
+    config = policy.config
+    if policy.switcher is None or not config.switch_weight:
+        return costs, None
+    log_odds = torch.tensor(config.change_log_odds)
+    terms = SwitchTerms(config.switches, config.cues, log_odds, config.switch_weight)
+    chunks = _chunks(policy, demonstrations)
+    switching = switch_terms_costs(chunks, policy.switcher, terms, actions, lengths)
+    return costs + switching.staying, switching.changing
+
+
+def _chunks(policy: MacroPolicy, demonstrations: Demonstrations) -> Iterator[Frames]:
+    """The frames as the policy's classifiers look at them, `CHUNK` at a time."""
+    images = torch.from_numpy(demonstrations.images)
+    before = frames_before(torch.from_numpy(demonstrations.lengths))
     for frames in torch.arange(len(images)).split(CHUNK):
         current, previous = images[frames].to(policy.device), images[before[frames]].to(policy.device)
-        seen = Frames(policy.quantiser.levels(policy.features.values(current, previous)), current, previous)
-        scores = policy.actor.scores(seen)
-        costs.append(exponentials_of(scores, targets[frames.to(policy.device), :, : scores.shape[2]]).sum(2))
-        if policy.switcher is not None and policy.config.switch_weight:
-            switches.append(policy.switcher.scores(seen)[:, :, 0])
-    if not switches:
-        return torch.cat(costs), None
-    log_odds = torch.tensor(policy.config.change_log_odds, device=policy.device)
-    weight, pairs = policy.config.switch_weight, policy.config.switches
-    switching = charges_of(torch.cat(switches), pairs, log_odds, lengths, weight)
-    return torch.cat(costs) + switching.staying, switching
+        yield Frames(policy.quantiser.levels(policy.features.values(current, previous)), current, previous)

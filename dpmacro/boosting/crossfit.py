@@ -4,17 +4,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from dpmacro.boosting.folds import frame_folds
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.boosting.loop import Boosting, Round, class_targets
+from dpmacro.boosting.loop import Boosting, Round
+from dpmacro.boosting.losses import class_targets
 from dpmacro.features.levels import SortedLevels
 
-__all__ = ["LeftOutScores", "bounded_deviance", "left_out_scores"]
+__all__ = ["CLASSIFIER_FOLDS", "LeftOutScores", "left_out_scores"]
 
-FOLDS = 4
+CLASSIFIER_FOLDS = 4
 SHARED_ROUNDS = 60  # that a rival's macro-actions share
 OWN_ROUNDS = 40  # of each after those
 COLUMNS = 128  # random columns searched a round
@@ -51,7 +52,7 @@ def left_out_scores(
     that lack. So all classifiers of a fold begin as the baseline's, after its first `SHARED_ROUNDS`.
     """
     generator = torch.Generator().manual_seed(seed)
-    fold_of = frame_folds(lengths, FOLDS, generator, groups)
+    fold_of = frame_folds(lengths, CLASSIFIER_FOLDS, generator, groups)
     n_folds = int(fold_of.max()) + 1
     learner = StumpLearner(data, drawn=COLUMNS)
     kept = (fold_of[:, None] != torch.arange(n_folds)).float()
@@ -71,21 +72,8 @@ def left_out_scores(
         boosting.round(weights)
         loss = float((weights * boosting.losses()).sum() / weights.sum())
         right = boosting.scores.argmax(2) == actions.to(learner.device)[:, None]
-        on_round(Round("judge", number, rounds, loss, float((weights * right).sum() / weights.sum()), None))
+        on_round(Round("score", number, rounds, loss, float((weights * right).sum() / weights.sum()), None))
     frames, own = torch.arange(len(actions)), fold_of
     macros = boosting.scores[:, :-n_folds].unflatten(1, (len(rivals), n_folds, n_macros))
     alone = boosting.scores[:, -n_folds:]
     return LeftOutScores(macros[frames, :, own].transpose(0, 1).cpu(), alone[frames, own].cpu())
-
-
-def bounded_deviance(
-    scores: Float[Tensor, "*shape classes"], targets: Bool[Tensor, "*#shape classes"], limit: float
-) -> Float[Tensor, "*shape"]:
-    """sum_m log(1 + exp(-2 y^m f^m(x))) in nats, margins y f cut off at -limit and limit.
-
-    The binomial deviance is what the exponential loss estimates (Friedman, Hastie, Tibshirani 2000). On
-    left-out frames the exponential loss itself hangs on the few that are confidently wrong; bounded, each of
-    those counts once.
-    """
-    margins = torch.where(targets, scores, -scores).clamp(-limit, limit)
-    return torch.nn.functional.softplus(-2 * margins).sum(-1)

@@ -13,19 +13,19 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import StrongClassifier, WeakLearner
+from dpmacro.boosting.losses import exponentials_of
 
-__all__ = ["MARGIN_LIMIT", "Boosting", "Round", "class_targets", "exponentials_of"]
+__all__ = ["Boosting", "Round"]
 
 CHANCE = 1e-6  # relative; a round that lowers the loss by less is no better than chance
 TRIES = 3  # rounds in a row without success: columns are drawn and networks start at random
-MARGIN_LIMIT = 18.0  # exp(18) = 6.6e7: prefix sums of such costs keep 1e-5 in float64
 
 
 @dataclass(frozen=True)
 class Round:
     """What a boosting round reports to whoever watches."""
 
-    stage: str  # discover | judge | recognise | validate | fit | switch
+    stage: str  # discover | score | recognise | validate | fit | switch
     number: int  # from 1
     total: int
     loss: float  # exponential loss per frame; of the best restart while discovering
@@ -49,7 +49,8 @@ class Boosting:
         start: scores to begin with, which `strong` knows nothing of; zeros by default.
 
     With base weights held still the loss never rises: a weak hypothesis that does not lower it is no better
-    than chance and is left out. A problem to which that happens `TRIES` times in a row has ended.
+    than chance and is left out. A problem to which that happens `TRIES` times in a row has ended: it gets no
+    more hypotheses until its base weights change, since other frames may hold what these do not.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class Boosting:
         self._rounds: list = []
         self._steps: list[Tensor] = []
         self._memory: object = None
+        self._base: Tensor | None = None  # of the round before
 
     def round(self, base: Float[Tensor, "frames problems"]) -> Int64[Tensor, " ended"]:
         """Add one weak hypothesis to every problem, fitted to its base weights times the losses so far.
@@ -87,6 +89,7 @@ class Boosting:
         """
         if not bool((base >= 0).all()):
             raise ValueError(f"a base weight is {float(base.min())}: weights must be 0 or more")
+        self._revive(base)
         weights = (base * ~self.ended)[:, :, None] * self._exponentials
         before = weights.sum((0, 2), dtype=torch.float64)
         hypotheses, self._memory = self.learner.fit(weights, self.targets, self.generator, self._memory)
@@ -106,6 +109,14 @@ class Boosting:
         self._steps.append(steps)
         return ending.nonzero()[:, 0]
 
+    def _revive(self, base: Float[Tensor, "frames problems"]) -> None:
+        """Give problems whose base weights are not those of the round before their tries back."""
+        if self._base is not None and self._base is not base:
+            changed = (self._base != base).any(0)
+            self.ended = self.ended & ~changed
+            self._failures = torch.where(changed, 0, self._failures)
+        self._base = base
+
     def losses(self) -> Float[Tensor, "frames problems"]:
         """sum_m exp(-y^m f^m(x)) of every frame and problem: the cost of holding the frame."""
         return self._exponentials.sum(2)
@@ -116,16 +127,3 @@ class Boosting:
         if rounds is not None:
             steps = steps * (torch.arange(len(steps), device=steps.device)[:, None] < rounds)
         return self.learner.strong(self._rounds, steps)
-
-
-def exponentials_of(
-    scores: Float[Tensor, "frames problems classes"], targets: Bool[Tensor, "frames #problems classes"]
-) -> Float[Tensor, "frames problems classes"]:
-    """exp(-y^m f^m(x)), margins no lower than -`MARGIN_LIMIT`."""
-    margins = torch.where(targets, scores, -scores)
-    return margins.clamp_(min=-MARGIN_LIMIT).neg_().exp_()
-
-
-def class_targets(labels: Int64[Tensor, " frames"], n_classes: int) -> Bool[Tensor, "frames 1 classes"]:
-    """y_n^m = +1 as True where frame n has class m, for all problems alike."""
-    return torch.nn.functional.one_hot(labels, n_classes).bool()[:, None]

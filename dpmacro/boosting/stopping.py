@@ -8,7 +8,8 @@ from torch import Tensor
 
 from dpmacro.boosting.folds import folds_of
 from dpmacro.boosting.learners.base import WeakLearner
-from dpmacro.boosting.loop import Boosting, Round, class_targets
+from dpmacro.boosting.loop import Boosting, Round
+from dpmacro.boosting.losses import class_targets
 
 __all__ = ["BestRound", "validated_rounds"]
 

@@ -1,5 +1,6 @@
 """DPBoost's alternation: a boosting round, then a segmentation, from many initial ones side by side."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -9,18 +10,15 @@ from torch import Tensor
 
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.segmentation.recursion import cost_of, segment
+from dpmacro.switching.costs import SwitchCosts
 
-__all__ = ["Alternated", "SwitchCosts", "alternate", "pooled"]
+__all__ = ["Alternated", "ObjectiveWarning", "alternate", "pooled"]
 
 ROUNDING = 1e-4  # relative; scores are float32
 
 
-@dataclass(frozen=True)
-class SwitchCosts:
-    """What the switch functions charge a segmentation, beside the actions."""
-
-    staying: Float[Tensor, "frames macros"]  # joins the cost of every frame
-    changing: Float[Tensor, "frames macros macros"]  # T_n(q', q) of the segmentation
+class ObjectiveWarning(RuntimeWarning):
+    """The objective of an alternation rose by more than rounding explains."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +45,12 @@ def alternate(
     """Boosting rounds, each followed by a segmentation once `warmup` rounds are over.
 
     Boosting lowers the objective with the labels held, segmentation lowers it with the classifiers held and
-    the labels so far among its choices: it never rises, which is asserted up to rounding. `switch_costs`,
-    with a single start only, join the objective and stay as they are. `boosting` has a problem for every
-    start and macro-action.
+    the labels so far among its choices: it never rises but for rounding, and an `ObjectiveWarning` says so
+    where it does. `switch_costs`, with a single start only, join the objective and stay as they are.
+    `boosting` has a problem for every start and macro-action. Ends early where no problem finds anything
+    better than chance and the labels stay as they are.
+
+    Raises ValueError for switch costs with several starts.
     """
     restarts, n_frames = starts.shape
     device = boosting.learner.device
@@ -57,7 +58,8 @@ def alternate(
     actions, frames = actions.to(device), torch.arange(n_frames, device=device)
     changing = None
     if switch_costs is not None:
-        assert restarts == 1, "switch costs belong to one segmentation"
+        if restarts != 1:
+            raise ValueError(f"switch costs with {restarts} starts: they belong to one segmentation")
         switch_costs = SwitchCosts(switch_costs.staying.to(device), switch_costs.changing.to(device))
         changing = switch_costs.changing
     loss: list[Tensor] = []
@@ -75,16 +77,22 @@ def alternate(
         totals = [cost_of(own, cost, lengths, changing) for own, cost in zip(labels, costs, strict=True)]
         loss.append(torch.stack(totals) / n_frames)
         before = loss[max(len(loss) - 2, 0)]
-        assert not bool((loss[-1] > before + ROUNDING * before.abs()).any()), (
-            f"{stage} rose in round {number}"
-        )
+        risen = (loss[-1] - before) / before.abs()
+        if bool((risen > ROUNDING).any()):
+            warnings.warn(
+                f"the objective of stage {stage!r} rose in round {number}, by {float(risen.max()):.2g} of "
+                "itself: its segmentation may be worse than an earlier one",
+                ObjectiveWarning,
+                stacklevel=2,
+            )
         best = int(loss[-1].argmin())
         chosen = boosting.scores[frames, best * n_macros + labels[best]].argmax(1)
         accuracy = float((chosen == actions).float().mean())
         over = tuple(ended.tolist()) if restarts == 1 else ()
         now = float(loss[-1][best]), accuracy, labels[best], float(changed[best])
         on_round(Round(stage, number, rounds, *now, ended=over))
-        if bool(boosting.ended.all()):
+        segmented = number > warmup or n_macros == 1
+        if segmented and bool(boosting.ended.all()) and not bool(changed.any()):
             break
     return Alternated(labels.cpu(), torch.stack(loss).cpu())
 

@@ -2,342 +2,408 @@
 
     L(q, f) = sum_n sum_m exp(-y_n^m f_{q_n}^m(x_n))   subject to   #{n : q_n != q_{n+1}} <= S
 
-in every trajectory (Lefakis and Fleuret, Section III). The objective has many local optima, so the
-alternation starts from many seeded initial segmentations side by side, on a few dozen random
-columns a round; those of fewer macro-actions are among them, since Q is what a planner may have, not what it
-must. Left-out trajectories judge the distinct outcomes and what becomes of the best of them
-(dpmacro/discovery/refinement.py); the chosen one is refitted with the exact learner.
+in every trajectory (Lefakis and Fleuret, Section III). A search proposes segmentations
+(`discovery/search.py`), left-out trajectories say which to keep, and classifiers and switch functions are
+fitted to it with the exact learner (`discovery/settling.py`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from inspect import signature
+from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64, Num
+from jaxtyping import Int64, Num
 from torch import Tensor
 
-from dpmacro.boosting.learners.base import Frames, StrongClassifier, WeakLearner
+from dpmacro.boosting.learners.base import Frames, WeakLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.boosting.loop import Boosting, Round, class_targets
-from dpmacro.boosting.stopping import validated_rounds
-from dpmacro.discovery.alternation import Alternated, SwitchCosts, alternate, pooled
-from dpmacro.discovery.candidates import Judged, Task, best_verdict, confidence, distinct, judge
-from dpmacro.discovery.joint import switch_costs
-from dpmacro.discovery.refinement import recut, simplified
-from dpmacro.discovery.result import Search
-from dpmacro.discovery.starts import action_events, feature_peaks, initial_segmentations
+from dpmacro.boosting.loop import Round
+from dpmacro.discovery.candidates import Task, confidence
+from dpmacro.discovery.hindsight import CHUNK, action_costs, switch_terms_costs
+from dpmacro.discovery.result import Discovery, DPBoostResult
+from dpmacro.discovery.search import adopt, discover
+from dpmacro.discovery.settings import RECIPES, SearchSettings, paper_switches
+from dpmacro.discovery.settling import FinalFit, settle
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
+from dpmacro.segmentation.recursion import segment
+from dpmacro.segmentation.segments import transition_counts
+from dpmacro.switching.functions import predicted_labels
+from dpmacro.switching.training import SwitchSettings
+from dpmacro.utils.checks import as_count, as_flag, as_number, as_tensor, as_whole_vector
 
-__all__ = ["DPBoost", "DPBoostResult"]
+__all__ = ["DPBoost"]
 
-PEAKS = 2  # rivals a restart that are cut at feature peaks, with two macro-actions; fewer with more
+MOST_ACTIONS = 2**16
+MOST_SEED = 2**63 - 1
 
-
-@dataclass(frozen=True)
-class DPBoostResult:
-    """A segmentation and what explains it."""
-
-    labels: Int64[Tensor, " frames"]  # macro-action of every frame, 0..Q-1, each used
-    confidence: Float[
-        Tensor, " frames"
-    ]  # 0..1, how sure classifiers that never saw the frame are of its label
-    loss: Float[Tensor, " rounds"]  # objective per frame after every round of the exact fit
-    classifiers: StrongClassifier  # problems are macro-actions, classes are actions
-    quantiser: Quantiser | None  # from raw feature columns to levels; None where levels were given
-    search: Search | None  # None where there was nothing to discover
-    switch_weight: float  # how much the switch functions had to say in the end; 0 where nothing
-
-    @property
-    def macros(self) -> int:
-        """The macro-actions that are used."""
-        return int(self.labels.max()) + 1
-
-    def scores(self, features: Num[Tensor, "frames columns"]) -> Float[Tensor, "frames macros actions"]:
-        """f_q^m(x) of raw features; only for a result that was fitted on raw features."""
-        assert self.quantiser is not None, "fitted on levels: use classifiers.scores"
-        return self.classifiers.scores(Frames(self.quantiser.levels(features.T.contiguous())))
+Matrix = Num[Tensor, "frames columns"] | np.ndarray
+Vector = Int64[Tensor, " entries"] | np.ndarray | Sequence[int]
 
 
 class DPBoost:
     """Macro-action discovery by change point detection and boosting.
 
+    Follows scikit-learn's manners as far as sequences allow: options by keyword, `get_params`, `set_params`,
+    `fit` returns the estimator, what it found ends in an underscore.
+
     Args:
         macros: Q >= 1; 1 is the baseline, a single classifier.
         max_transitions: S >= 0, the bound in every trajectory; None for Q - 1.
-        rounds: boosting rounds of the exact fit.
-        learner: makes the weak learner of the exact fit from sorted levels; stumps discover and judge.
-        restarts: initial segmentations (dpmacro/discovery/starts.py).
-        seed: of every draw.
-        device: where tensors live.
+        rounds: boosting rounds of the final fit, 1 or more.
         shrinkage: factor in (0, 1] on every weak hypothesis.
-        fit_shrinkage: likewise in the exact fit, where its learner wants another.
-        discovery_rounds: rounds from every initial segmentation.
-        warmup: rounds that keep the labels they start from, at most half of a stage: relabelling by barely
-            trained classifiers forgets a good start. After it the labels are re-estimated every round.
-        drawn: random columns searched a round while discovering.
-        switch_weight: how much the switch functions' losses count beside those of the actions in the final
-            segmentation; 0 keeps them out.
-        early_stopping: whether left-out trajectories say how many of `rounds` the exact fit has.
+        restarts: initial segmentations, 1 or more.
+        switch_rounds: boosting rounds of the switch functions, 1 or more.
+        switch_window: J >= 1, the frames from a change on that are its positive examples.
+        switch_weight: how much the switch functions' losses count beside those of the actions when sequences
+            are cut, 0 or more; 0 keeps them out.
+        early_stopping: whether left-out trajectories say how many rounds are kept.
+        recipe: "dpmacro", or "paper" for the paper's own: random starts, least training loss, switch
+            functions fitted afterwards as in its Section IV; `switch_weight` is 0 then, and shrinkage 1.
+        seed: of every draw, 0 or more.
+        device: where tensors live.
+
+    Attributes:
+        labels_: macro-action of every frame of `fit`.
+        confidence_: 0 to 1, how sure classifiers that never saw a frame are of its label.
+        result_: everything that was found, a `DPBoostResult`.
 
     Raises ValueError naming the argument that is out of range.
     """
 
     def __init__(
         self,
-        macros: int,
+        *,
+        macros: int = 2,
         max_transitions: int | None = None,
         rounds: int = 300,
-        learner: Callable[[SortedLevels], WeakLearner] = StumpLearner,
-        restarts: int = 32,
-        seed: int = 0,
-        device: str | torch.device = "cpu",
-        *,
         shrinkage: float = 0.1,
-        fit_shrinkage: float | None = None,
-        discovery_rounds: int = 80,
-        warmup: int = 30,
-        drawn: int = 48,
+        restarts: int = 32,
+        switch_rounds: int = 400,
+        switch_window: int = 3,
         switch_weight: float = 1.0,
         early_stopping: bool = False,
+        recipe: str = "dpmacro",
+        seed: int = 0,
+        device: str | torch.device = "cpu",
     ) -> None:
-        counts = {
-            "macros": macros,
-            "rounds": rounds,
-            "restarts": restarts,
-            "discovery_rounds": discovery_rounds,
-            "drawn": drawn,
-        }
-        for name, value in counts.items():
-            if value < 1:
-                raise ValueError(f"{name} is {value}: give 1 or more")
         self.macros = macros
-        self.max_transitions = macros - 1 if max_transitions is None else max_transitions
-        if self.max_transitions < 0:
-            raise ValueError(f"max_transitions is {max_transitions}: give 0 or more")
+        self.max_transitions = max_transitions
         self.rounds = rounds
-        self.learner = learner
-        self.restarts = restarts
-        self.seed = seed
-        self.device = torch.empty(0, device=device).device  # "cuda" becomes the card that it means
         self.shrinkage = shrinkage
-        self.fit_shrinkage = shrinkage if fit_shrinkage is None else fit_shrinkage
-        self.discovery_rounds = discovery_rounds
-        self.warmup = warmup
-        self.drawn = drawn
+        self.restarts = restarts
+        self.switch_rounds = switch_rounds
+        self.switch_window = switch_window
         self.switch_weight = switch_weight
         self.early_stopping = early_stopping
+        self.recipe = recipe
+        self.seed = seed
+        self.device = device
+        self._check()
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """The options by name; `deep` is there for scikit-learn and changes nothing."""
+        return {
+            name: getattr(self, name) for name in signature(DPBoost.__init__).parameters if name != "self"
+        }
+
+    def set_params(self, **options: Any) -> "DPBoost":
+        """Change options; ValueError for one that does not exist or is out of range, and nothing changes."""
+        known = self.get_params()
+        for name in options:
+            if name not in known:
+                raise ValueError(f"{name} is no option of DPBoost: choose among {', '.join(known)}")
+        vars(self).update(vars(DPBoost(**{**known, **options})))
+        return self
 
     def fit(
         self,
-        features: Num[Tensor, "frames columns"] | np.ndarray | SortedLevels,
-        actions: Int64[Tensor, " frames"] | np.ndarray | Sequence[int],
-        lengths: Int64[Tensor, " trajectories"] | np.ndarray | Sequence[int],
+        features: Matrix,
+        actions: Vector,
+        lengths: Vector,
         on_round: Callable[[Round], None] = lambda _: None,
-        groups: Int64[Tensor, " trajectories"] | None = None,
-        search: Search | None = None,
-    ) -> DPBoostResult:
-        """Find macro-labels and strong classifiers.
+    ) -> "DPBoost":
+        """Find macro-labels, strong classifiers and switch functions.
 
         Args:
-            features: numbers of every frame, trajectories concatenated; or levels that are sorted already.
+            features: finite numbers of every frame, [frames, columns], trajectories concatenated.
             actions: 0..M-1 of every frame.
-            lengths: frames of every trajectory.
+            lengths: frames of every trajectory, 1 or more each.
             on_round: called after every boosting round.
-            groups: numbers 0.. of trajectories to leave out together, like mirror images; alone by default.
-            search: what `search` found on the same data, where it has run already.
 
-        Macro-actions that end up without a frame are pruned: the result may have fewer than Q.
+        Macro-actions that end up without a frame are left out: there may be fewer than Q.
 
-        Raises ValueError where the shapes disagree, a feature is not finite, an action is negative, or there
-        are more macro-actions than frames.
+        Raises ValueError where shapes disagree, a feature is not finite, an action or a length is no whole
+        number or out of range, or there are more macro-actions than frames.
         """
-        data, quantiser = self._prepare(features)
-        task = self._task(data, actions, lengths, groups)
-        if search is None and self.macros > 1 and task.max_transitions > 0:
-            search = self._search(data, task, on_round)
-        labels = torch.zeros_like(task.actions).cpu() if search is None else search.kept.labels
-        generator = torch.Generator().manual_seed(self.seed)
-        learner, rounds = self.learner(data), self.rounds
-        if self.early_stopping:
-            held = labels, task.actions, task.lengths, rounds, self.fit_shrinkage
-            rounds = validated_rounds(learner, *held, generator, task.groups, on_round)
-        costs = None if search is None else self._switch_costs(search.kept, task)
-        if search is not None:
-            task = replace(task, macros=int(labels.max()) + 1, max_transitions=search.kept_transitions)
-        boosting = self._boosting(learner, task, 1, self.fit_shrinkage, generator)
-        fitted = self._alternate(boosting, task, labels[None], "fit", rounds, on_round, costs)
-        found = fitted.labels[0]
-        sure = torch.ones(len(found)) if search is None else confidence(search.kept, search.task, found)
-        used, pruned = found.unique(return_inverse=True)
-        strong = boosting.strong().select(used.to(self.device))
-        weight = 0.0 if costs is None else self.switch_weight
-        return DPBoostResult(pruned, sure, fitted.loss[:, 0], strong, quantiser, search, weight)
+        self._check()
+        values = self._features(features)
+        quantiser = Quantiser.fit(values)
+        data = SortedLevels.build(quantiser.levels(values))
+        result = self.fit_levels(data, actions, lengths, on_round=on_round)
+        self.result_ = replace(result, quantiser=quantiser)
+        self.labels_, self.confidence_ = self.result_.labels, self.result_.confidence
+        return self
 
-    def search(
+    def predict(self, features: Matrix, lengths: Vector) -> Int64[Tensor, " frames"]:
+        """Macro-labels of new sequences without their actions: those that a running policy would have.
+
+        The switch functions choose them frame by frame, never looking ahead, each after the action that the
+        classifiers would have taken in the frame before.
+        """
+        return self._predicted(self._frames(features), self._lengths(features, lengths))[0]
+
+    def segment(self, features: Matrix, actions: Vector, lengths: Vector) -> Int64[Tensor, " frames"]:
+        """Macro-labels of sequences in hindsight, exact: those of least cost under the bound.
+
+        On the data of `fit` they are its labels. Arguments and errors as for `fit`.
+        """
+        result, levels = self._fitted, self._frames(features)
+        lengths = self._lengths(features, lengths)
+        actions = _actions(actions, len(levels.T)).to(levels.device)
+        costs = action_costs(_chunks(levels), result.classifiers, actions)
+        changing = None
+        if result.terms is not None and result.switches.classifier is not None:
+            extra = switch_terms_costs(
+                _chunks(levels), result.switches.classifier, result.terms, actions, lengths
+            )
+            costs, changing = costs + extra.staying, extra.changing
+        return segment(costs, lengths, result.max_transitions, changing).labels.cpu()
+
+    def score(self, features: Matrix, actions: Vector, lengths: Vector) -> float:
+        """Share of the frames, 0 to 1, whose action is right under the labels of `predict`."""
+        levels = self._frames(features)
+        chosen = self._predicted(levels, self._lengths(features, lengths))[1]
+        return float((chosen == _actions(actions, len(chosen)).cpu()).float().mean())
+
+    def discover_levels(
         self,
         data: SortedLevels,
-        actions: Int64[Tensor, " frames"],
-        lengths: Int64[Tensor, " trajectories"],
-        on_round: Callable[[Round], None] = lambda _: None,
+        actions: Vector,
+        lengths: Vector,
+        *,
         groups: Int64[Tensor, " trajectories"] | None = None,
-    ) -> Search:
-        """Find and judge segmentations without the final fit; arguments and errors as for `fit`."""
-        return self._search(data, self._task(data, actions, lengths, groups), on_round)
-
-    def adopt(
-        self,
-        data: SortedLevels,
-        actions: Int64[Tensor, " frames"],
-        lengths: Int64[Tensor, " trajectories"],
-        labels: Int64[Tensor, " frames"],
+        known: Int64[Tensor, " frames"] | None = None,
         on_round: Callable[[Round], None] = lambda _: None,
-        groups: Int64[Tensor, " trajectories"] | None = None,
-    ) -> Search:
-        """Judge a segmentation that is known already, in place of a search; errors as for `fit`.
+    ) -> Discovery | None:
+        """Candidate segmentations and their scores without the final fit; None where there is nothing to cut.
 
-        `labels` are 0..Q-1; the other arguments are those of `fit`.
+        Args:
+            data: levels of every frame.
+            actions, lengths: as for `fit`.
+            groups: numbers 0.. of trajectories to leave out together; alone by default.
+            known: labels 0..Q-1 that take the place of the search.
+            on_round: called after every boosting round.
         """
         task = self._task(data, actions, lengths, groups)
-        [judged] = judge(data, task, labels[None], on_round)
-        return Search(
-            task, Alternated(labels[None], torch.tensor([[judged.verdict.hindsight_loss]])), (judged,), 0
+        if task.macros == 1 or task.max_transitions == 0:
+            return None
+        if known is not None:
+            return adopt(data, task, known, on_round)
+        return discover(data, task, self._search, self.restarts, self._shrinkage, on_round)
+
+    def fit_levels(
+        self,
+        data: SortedLevels,
+        actions: Vector,
+        lengths: Vector,
+        *,
+        groups: Int64[Tensor, " trajectories"] | None = None,
+        learner: WeakLearner | None = None,
+        switch_learner: WeakLearner | None = None,
+        shrinkage: float | None = None,
+        switches: SwitchSettings | None = None,
+        discovery: Discovery | None = None,
+        on_round: Callable[[Round], None] = lambda _: None,
+    ) -> DPBoostResult:
+        """`fit` on levels, with learners of the caller's; the result has no quantiser.
+
+        Args:
+            data: levels of every frame.
+            actions, lengths: as for `fit`.
+            groups: numbers 0.. of trajectories to leave out together; alone by default.
+            learner: of the strong classifiers; exact stumps by default.
+            switch_learner: of the switch functions, copies of the frames after them if any; by default
+                stumps on `SWITCH_DRAWN` random columns a round.
+            shrinkage: of the strong classifiers, where their learner wants another than the search.
+            switches: how the switch functions learn, in place of this estimator's.
+            discovery: what `discover_levels` found, where it has run already.
+            on_round: called after every boosting round.
+        """
+        task = self._task(data, actions, lengths, groups)
+        if discovery is None:
+            discovery = self.discover_levels(data, actions, lengths, groups=groups, on_round=on_round)
+        labels = torch.zeros(len(task.actions), dtype=torch.int64)
+        weight, bound, runnable = 0.0, 0, False
+        if discovery is not None:
+            labels = discovery.kept.labels.unique(return_inverse=True)[1]
+            bound, runnable = discovery.kept.transitions(task.lengths), discovery.kept.scores.runnable
+            weight = self._search.switch_weight if runnable else 0.0
+        switches = self._switches if switches is None else switches
+        if not runnable:  # changes that cannot be recognised say nothing of where they belong
+            switches = replace(switches, aligned=False)
+        fit = FinalFit(
+            StumpLearner(data) if learner is None else learner,
+            StumpLearner(data, SWITCH_DRAWN) if switch_learner is None else switch_learner,
+            self.rounds,
+            self._shrinkage if shrinkage is None else shrinkage,
+            self.early_stopping,
+            switches,
+            weight,
+            self._search.held,
+        )
+        settled = settle(fit, replace(task, max_transitions=bound), labels, on_round)
+        sure, final = torch.ones(len(labels)), None
+        n_macros = int(settled.labels.max()) + 1
+        if n_macros > 1:
+            used = int(transition_counts(settled.labels, task.lengths).max())
+            final = adopt(
+                data, replace(task, macros=n_macros, max_transitions=used), settled.labels, on_round
+            )
+            sure = confidence(final.kept, final.task, settled.labels)
+        return DPBoostResult(
+            settled.labels,
+            sure,
+            settled.loss,
+            settled.classifiers,
+            settled.switches,
+            settled.terms,
+            settled.max_transitions,
+            settled.unsettled,
+            None,
+            discovery,
+            final,
         )
 
-    def _task(
-        self,
-        data: SortedLevels,
-        actions: Int64[Tensor, " frames"] | np.ndarray | Sequence[int],
-        lengths: Int64[Tensor, " trajectories"] | np.ndarray | Sequence[int],
-        groups: Int64[Tensor, " trajectories"] | None,
-    ) -> Task:
-        actions = torch.as_tensor(actions).long()
-        lengths = torch.as_tensor(lengths).long().cpu()
-        _check(data, actions, lengths, self.macros)
-        groups = torch.arange(len(lengths)) if groups is None else groups.cpu()
-        bound = min(self.max_transitions, int(lengths.max()) - 1)
-        n_actions = int(actions.max()) + 1
-        return Task(actions.to(self.device), lengths, groups, n_actions, self.macros, bound, self.seed)
+    @property
+    def _search(self) -> SearchSettings:
+        if self.recipe == "paper":
+            return SearchSettings.paper()
+        return SearchSettings(switch_weight=self.switch_weight)
 
-    def _prepare(
-        self, features: Num[Tensor, "frames columns"] | np.ndarray | SortedLevels
-    ) -> tuple[SortedLevels, Quantiser | None]:
-        if isinstance(features, SortedLevels):
-            if features.levels.device != self.device:
-                raise ValueError(
-                    f"levels are on {features.levels.device} and device is {self.device}: use one"
-                )
-            return features, None
-        values = torch.as_tensor(features).to(self.device)
-        if values.ndim != 2 or 0 in values.shape:
-            raise ValueError(f"features have shape {tuple(values.shape)}: give [frames, columns]")
-        values = values.T.contiguous()
+    @property
+    def _switches(self) -> SwitchSettings:
+        if self.recipe == "paper":
+            return paper_switches(self.switch_rounds, self.switch_window)
+        return SwitchSettings(self.switch_rounds, self.switch_window, early_stopping=self.early_stopping)
+
+    @property
+    def _shrinkage(self) -> float:
+        return 1.0 if self.recipe == "paper" else self.shrinkage
+
+    @property
+    def _device(self) -> torch.device:
+        return torch.empty(0, device=self.device).device  # "cuda" becomes the card that it means
+
+    @property
+    def _fitted(self) -> DPBoostResult:
+        if not hasattr(self, "result_"):
+            raise ValueError("this DPBoost has found nothing yet: call fit first")
+        return self.result_
+
+    def _check(self) -> None:
+        for name in ("macros", "rounds", "restarts", "switch_rounds", "switch_window"):
+            as_count(name, getattr(self, name))
+        if self.max_transitions is not None:
+            as_count("max_transitions", self.max_transitions, 0)
+        as_count("seed", self.seed, 0, MOST_SEED)
+        as_number("shrinkage", self.shrinkage, 0, 1)
+        if self.switch_weight != 0 or isinstance(self.switch_weight, bool):
+            as_number("switch_weight", self.switch_weight, 0)
+        as_flag("early_stopping", self.early_stopping)
+        if self.recipe not in RECIPES:
+            raise ValueError(f"recipe is {self.recipe!r}: choose one of {', '.join(RECIPES)}")
+        try:
+            torch.empty(0, device=self.device)
+        except (RuntimeError, AssertionError, TypeError, ValueError) as error:
+            raise ValueError(f"device is {self.device!r}, which is not to be had here: give 'cpu'") from error
+
+    def _features(self, features: Matrix) -> Num[Tensor, "columns frames"]:
+        """Checked, and column after column."""
+        values = as_tensor("features", features, 2, "[frames, columns]").to(self._device).T.contiguous()
+        if values.dtype == torch.bool:
+            values = values.to(torch.uint8)
         if values.is_floating_point() and not bool(values.isfinite().all()):
             column, frame = (~values.isfinite()).nonzero()[0].tolist()
             raise ValueError(
                 f"feature {column} of frame {frame} is {values[column, frame]}: features must be finite"
             )
-        quantiser = Quantiser.fit(values)
-        return SortedLevels.build(quantiser.levels(values)), quantiser
+        return values
 
-    def _search(self, data: SortedLevels, task: Task, on_round: Callable[[Round], None]) -> Search:
-        candidates = pooled([self._discover(data, smaller, on_round) for smaller in _smaller(task)])
-        judged = self._judge(data, task, candidates, on_round)
-        best = best_verdict([rival.verdict for rival in judged])
-        return Search(task, candidates, tuple(judged), best)
-
-    def _discover(self, data: SortedLevels, task: Task, on_round: Callable[[Round], None]) -> Alternated:
-        """The alternation from every initial segmentation, on random columns."""
-        generator = torch.Generator().manual_seed(self.seed)
-        starts = initial_segmentations(
-            data.levels,
-            task.actions,
-            task.lengths,
-            self.restarts,
-            task.macros,
-            task.max_transitions,
-            generator,
-        )
-        learner = StumpLearner(data, drawn=self.drawn)
-        boosting = self._boosting(learner, task, len(starts), self.shrinkage, generator)
-        return self._alternate(boosting, task, starts, "discover", self.discovery_rounds, on_round)
-
-    def _judge(
-        self, data: SortedLevels, task: Task, candidates: Alternated, on_round: Callable[[Round], None]
-    ) -> list[Judged]:
-        """Verdicts on what the alternation found, on cuts by rare actions and at feature peaks as they are,
-        on what switch functions make of the best, and on the best of all with fewer macro-actions.
-
-        The alternation knows no switch functions: it drifts away from cuts that can be recognised.
-        """
-        order = candidates.loss[-1].argsort()
-        generator = torch.Generator().manual_seed(self.seed)
-        bounds = task.macros, task.max_transitions
-        events = action_events(task.actions, task.lengths, self.restarts // 4, *bounds, generator)
-        peaks = [
-            feature_peaks(
-                data.levels,
-                task.lengths,
-                PEAKS * self.restarts // (smaller.macros - 1),
-                smaller.macros,
-                smaller.max_transitions,
-                generator,
-                task.actions,
+    def _frames(self, features: Matrix) -> Num[Tensor, "columns frames"]:
+        """The levels of new frames."""
+        quantiser, values = self._fitted.quantiser, self._features(features)
+        assert quantiser is not None, "fit made one"
+        if len(values) != len(quantiser.cuts):
+            raise ValueError(
+                f"features have {len(values)} columns, those of fit had {len(quantiser.cuts)}: give the same"
             )
-            for smaller in _smaller(task)
-        ]
-        rivals = torch.cat([candidates.labels[order], events, *peaks])
-        judged = judge(data, task, rivals[distinct(rivals)], on_round)
-        if self.switch_weight > 0 and task.n_groups > 1:
-            judged = recut(judged, data, task, self.switch_weight, on_round)
-        return simplified(judged, data, task, on_round)
+        return quantiser.levels(values.to(quantiser.cuts.dtype))
 
-    def _switch_costs(self, kept: Judged, task: Task) -> SwitchCosts | None:
-        """What recognising the changes costs; None where they cannot be recognised anyway."""
-        if self.switch_weight == 0 or not kept.verdict.runnable:
-            return None
-        costs, used = switch_costs(kept, task, self.switch_weight), int(kept.labels.max()) + 1
-        return SwitchCosts(costs.staying[:, :used], costs.changing[:, :used, :used])
+    def _lengths(self, features: Matrix, lengths: Vector) -> Int64[Tensor, " trajectories"]:
+        return _lengths(lengths, len(features))
 
-    def _boosting(
-        self, learner: WeakLearner, task: Task, restarts: int, shrinkage: float, generator: torch.Generator
-    ) -> Boosting:
-        targets = class_targets(task.actions, task.n_actions)
-        return Boosting(learner, targets, restarts * task.macros, shrinkage, generator)
+    def _predicted(
+        self, levels: Num[Tensor, "columns frames"], lengths: Int64[Tensor, " trajectories"]
+    ) -> tuple[Int64[Tensor, " frames"], Int64[Tensor, " frames"]]:
+        result = self._fitted
+        switches = result.switches
+        scores = torch.cat([result.classifiers.scores(part).cpu() for part in _chunks(levels)])
+        first = torch.full((len(lengths),), switches.starts[0])
+        margins = torch.zeros(len(scores), 0)
+        if switches.classifier is not None:
+            own = torch.cat([switches.classifier.scores(part)[:, :, 0].cpu() for part in _chunks(levels)])
+            margins = own[:, : len(switches.pairs)] - switches.thresholds
+            if len(switches.starts) > 1:
+                begun = own[lengths.cumsum(0) - lengths][:, len(switches.pairs) :]
+                first = torch.tensor(switches.starts)[begun.argmax(1)]
+        return predicted_labels(scores, margins, switches.pairs, switches.cues, lengths, first)
 
-    def _alternate(
+    def _task(
         self,
-        boosting: Boosting,
-        task: Task,
-        starts: Int64[Tensor, "restarts frames"],
-        stage: str,
-        rounds: int,
-        on_round: Callable[[Round], None],
-        costs: SwitchCosts | None = None,
-    ) -> Alternated:
-        bounds = task.macros, task.max_transitions
-        warmup = min(self.warmup, rounds // 2)
-        return alternate(
-            boosting, task.actions, task.lengths, starts, *bounds, rounds, warmup, stage, on_round, costs
-        )
+        data: SortedLevels,
+        actions: Vector,
+        lengths: Vector,
+        groups: Int64[Tensor, " trajectories"] | None,
+    ) -> Task:
+        if data.levels.device != self._device:
+            raise ValueError(f"levels are on {data.levels.device} and device is {self._device}: use one")
+        actions, lengths = _actions(actions, data.n_frames), _lengths(lengths, data.n_frames)
+        if self.macros > data.n_frames:
+            raise ValueError(
+                f"macros is {self.macros} but there are only {data.n_frames} frames: ask for fewer"
+            )
+        groups = torch.arange(len(lengths)) if groups is None else groups.cpu()
+        bound = self.macros - 1 if self.max_transitions is None else self.max_transitions
+        bound = min(bound, int(lengths.max()) - 1)
+        n_actions = int(actions.max()) + 1
+        return Task(actions.to(self._device), lengths, groups, n_actions, self.macros, bound, self.seed)
 
 
-def _smaller(task: Task) -> list[Task]:
-    """The task with 2, 3, ... macro-actions and so many transitions as they need, up to the whole."""
-    bound = task.max_transitions
-    fewer = [replace(task, macros=n, max_transitions=min(n - 1, bound)) for n in range(2, task.macros)]
-    return [*fewer, task]
+SWITCH_DRAWN = 32  # random columns that a round of stumps searches for switch functions
 
 
-def _check(data: SortedLevels, actions: Tensor, lengths: Tensor, macros: int) -> None:
-    if len(actions) == 0 or data.n_frames != len(actions):
+def _actions(actions: Vector, n_frames: int) -> Int64[Tensor, " frames"]:
+    found = as_whole_vector("actions", actions, 0, "[frames], a number 0..M-1 for each")
+    if len(found) != n_frames:
         raise ValueError(
-            f"features have {data.n_frames} frames and actions {len(actions)}: give one action per frame"
+            f"features have {n_frames} frames and actions {len(found)}: give one action per frame"
         )
-    if int(lengths.sum()) != len(actions) or int(lengths.min()) < 1:
-        raise ValueError(f"lengths {lengths.tolist()} must be positive and add up to {len(actions)} frames")
-    if int(actions.min()) < 0:
-        raise ValueError(f"an action is {int(actions.min())}: actions are 0 or more")
-    if macros > len(actions):
-        raise ValueError(f"macros is {macros} but there are only {len(actions)} frames: ask for fewer")
+    if int(found.max()) >= MOST_ACTIONS:
+        raise ValueError(f"an action is {int(found.max())}: number them from 0, {MOST_ACTIONS} at most")
+    return found
+
+
+def _lengths(lengths: Vector, n_frames: int) -> Int64[Tensor, " trajectories"]:
+    found = as_whole_vector("lengths", lengths, 1, "[trajectories], the frames of each").cpu()
+    if int(found.sum()) != n_frames:
+        raise ValueError(
+            f"lengths add up to {int(found.sum())} and features have {n_frames} frames: they must agree"
+        )
+    return found
+
+
+def _chunks(levels: Num[Tensor, "columns frames"]) -> list[Frames]:
+    return [Frames(levels[:, first : first + CHUNK]) for first in range(0, levels.shape[1], CHUNK)]

@@ -1,77 +1,85 @@
-"""How many macro-actions? Searches with several Q and S, told apart by data that they left out."""
+"""How many macro-actions? Discoveries with several Q and S, told apart by data that they left out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpmacro.discovery.result import Search
+from jaxtyping import Float
+from torch import Tensor
+
+from dpmacro.discovery.criteria import equally_good, standard_error
+from dpmacro.discovery.result import Discovery
 
 __all__ = ["Choice", "Point", "choose", "points"]
 
 
 @dataclass(frozen=True)
 class Point:
-    """One search on the selection chart; one macro-action is the zero of the gain."""
+    """One discovery on the selection chart; one macro-action is the zero of the gain."""
 
     macros: int
     max_transitions: int
     gain: float  # nats a frame over a single classifier on left-out data; see `points`
     error: float  # its standard error
-    runnable: bool  # whether a planner can recognise the changes
+    runnable: bool  # whether a policy can recognise the changes
     changes: float  # transitions used per trajectory
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Searches that were compared, and the one to follow."""
+    """Discoveries that were compared, and the one to follow."""
 
-    searches: tuple[Search, ...]
-    points: tuple[Point, ...]  # one for every search
-    place: int | None  # of the search to follow; None for one macro-action
+    discoveries: tuple[Discovery, ...]
+    points: tuple[Point, ...]  # one for every discovery
+    place: int | None  # of the discovery to follow; None for one macro-action
 
     @property
-    def search(self) -> Search | None:
-        """The search to follow; None for one macro-action."""
-        return None if self.place is None else self.searches[self.place]
+    def discovery(self) -> Discovery | None:
+        """The one to follow; None for one macro-action."""
+        return None if self.place is None else self.discoveries[self.place]
 
     @property
     def setting(self) -> tuple[int, int]:
         """Q and S to follow."""
-        return (1, 0) if self.search is None else (self.search.macros, self.search.max_transitions)
+        found = self.discovery
+        return (1, 0) if found is None else (found.macros, found.max_transitions)
 
 
-def points(searches: Sequence[Search]) -> list[Point]:
-    """What left-out data says of each search.
+def points(discoveries: Sequence[Discovery]) -> list[Point]:
+    """What left-out data says of each discovery.
 
-    The gain is that of a planner which runs the segmentation, where any search found one that can be run;
+    The gain is that of a policy which runs the segmentation, where any discovery found one that can be run;
     else that of labels which the frames around tell. The two are never compared with one another.
     """
-    verdicts = [search.kept.verdict for search in searches]
-    if any(verdict.runnable for verdict in verdicts):
-        gains = [(verdict.gain, verdict.gain_error) for verdict in verdicts]
-    else:
-        gains = [(verdict.context_gain, verdict.context_error) for verdict in verdicts]
-    return [
-        Point(search.macros, search.max_transitions, *gain, search.kept.verdict.runnable, search.changes)
-        for search, gain in zip(searches, gains, strict=True)
-    ]
+    found = []
+    for one, loss in zip(discoveries, _losses(discoveries), strict=True):
+        scores = one.kept.scores
+        saved = scores.alone - loss
+        gain, error = float(saved.sum()), standard_error(saved)
+        found.append(Point(one.macros, one.max_transitions, gain, error, scores.runnable, one.changes))
+    return found
 
 
-def choose(searches: Sequence[Search]) -> Choice:
-    """The search to follow, or one macro-action.
+def choose(discoveries: Sequence[Discovery]) -> Choice:
+    """The discovery to follow, or one macro-action.
 
-    Where some can be run, the largest gain; where none can, the largest gain if it exceeds its standard
-    error. Of those within a standard error of the largest, the fewest macro-actions, then transitions.
+    Where some can be run, the one of least loss; where none can, likewise of those whose gain exceeds its
+    standard error. Of those that do equally well (`criteria.equally_good`), the one of fewest macro-actions,
+    then of fewest transitions, then of least loss.
     """
-    found = points(searches)
-    return Choice(tuple(searches), tuple(found), _best(found))
-
-
-def _best(found: Sequence[Point]) -> int | None:
+    found, losses = points(discoveries), _losses(discoveries)
     eligible = [k for k, point in enumerate(found) if point.runnable]
     if not eligible:
         eligible = [k for k, point in enumerate(found) if point.gain > point.error]
-    if not eligible:
-        return None
-    best = max((found[k] for k in eligible), key=lambda point: point.gain)
-    close = [k for k in eligible if found[k].gain >= best.gain - best.error]
-    return min(close, key=lambda k: (found[k].macros, found[k].max_transitions, -found[k].gain))
+    place = None
+    if eligible:
+        close = [eligible[k] for k in equally_good([losses[k] for k in eligible])]
+        place = min(close, key=lambda k: (found[k].macros, found[k].max_transitions, -found[k].gain))
+    return Choice(tuple(discoveries), tuple(found), place)
+
+
+def _losses(discoveries: Sequence[Discovery]) -> list[Float[Tensor, " parts"]]:
+    """The losses that the discoveries are compared by, of the parts of the data; see `points`."""
+    scores = [one.kept.scores for one in discoveries]
+    if any(one.runnable for one in scores):
+        return [one.causal for one in scores]
+    return [one.context for one in scores]

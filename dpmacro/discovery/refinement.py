@@ -1,4 +1,4 @@
-"""Rivals made of rivals: what switch functions make of the best, and the best with fewer macro-actions."""
+"""Candidates made of candidates: what switch functions make of the best, and fewer macro-actions."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -8,60 +8,78 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from dpmacro.boosting.loop import Round
-from dpmacro.discovery.candidates import Judged, Task, best_verdict, judge
-from dpmacro.discovery.joint import resegmented
+from dpmacro.discovery.candidates import Candidate, Task, action_charges, score_candidates
+from dpmacro.discovery.criteria import best_candidate
 from dpmacro.features.levels import SortedLevels
+from dpmacro.segmentation.recursion import segment
+from dpmacro.switching.costs import change_log_odds, charges_of
 
-__all__ = ["merged", "recut", "simplified"]
+__all__ = ["merged", "recut", "resegmented", "simplified"]
 
 SWEEPS = 3  # in which switch functions cut
-REFINED = 4  # rivals anew
+REFINED = 4  # candidates anew in each
+COST_LIMIT = 3.0  # margin at which the actions' bounded deviances are cut off
 
 
 def recut(
-    judged: Sequence[Judged],
+    scored: Sequence[Candidate],
     data: SortedLevels,
     task: Task,
     weight: float,
     on_round: Callable[[Round], None] = lambda _: None,
-) -> list[Judged]:
-    """The rivals, and the best of them cut again with the costs of their switch functions, over and over.
+) -> list[Candidate]:
+    """The candidates, and the best of them cut again with the costs of their switch functions, repeatedly.
 
     `weight` is how much the switch functions count beside the actions, above 0.
     """
-    judged = list(judged)
-    fresh = list(judged)
+    scored = list(scored)
+    fresh = list(scored)
     for _ in range(SWEEPS):
-        fresh.sort(key=lambda rival: (not rival.verdict.runnable, rival.verdict.causal_loss))
+        fresh.sort(key=lambda one: (not one.scores.runnable, float(one.scores.causal.sum())))
         chosen, fresh = fresh[:REFINED], fresh[REFINED:]
-        again = _unknown([resegmented(rival, task, weight) for rival in chosen], judged)
+        again = _unknown([resegmented(one, task, weight) for one in chosen], scored)
         if not again:
             break
-        found = judge(data, task, torch.stack(again), on_round)
-        judged, fresh = judged + found, fresh + found
-    return judged
+        found = score_candidates(data, task, torch.stack(again), on_round)
+        scored, fresh = scored + found, fresh + found
+    return scored
+
+
+def resegmented(candidate: Candidate, task: Task, weight: float = 1.0) -> Int64[Tensor, " frames"]:
+    """The segmentation that left-out classifiers and left-out switch functions of a candidate agree on.
+
+    It has no more transitions in a trajectory than the candidate has in any. `weight` is how much the switch
+    functions count beside the actions. On their own training data switch functions recognise any few changes,
+    so the scores are those of functions that never saw the trajectory.
+    """
+    costs = action_charges(candidate.left_out, task, COST_LIMIT).double()
+    log_odds = change_log_odds(candidate.labels, task.lengths, task.macros)
+    switches = candidate.switches
+    extra = charges_of(switches.scores, switches.pairs, log_odds, task.lengths, weight)
+    bound = min(task.max_transitions, candidate.transitions(task.lengths))
+    return segment(costs + extra.staying, task.lengths, bound, extra.changing).labels
 
 
 def simplified(
-    judged: Sequence[Judged],
+    scored: Sequence[Candidate],
     data: SortedLevels,
     task: Task,
     on_round: Callable[[Round], None] = lambda _: None,
-) -> list[Judged]:
-    """The rivals, and the best of them with two macro-actions made one, for as long as that is better.
+) -> list[Candidate]:
+    """The candidates, and the best of them with two macro-actions made one, for as long as that is better.
 
-    A macro-action more always lowers the training loss. On left-out data it has to pay for the changes into
-    and out of it, which a planner may miss.
+    One macro-action more always lowers the training loss. On left-out data it has to pay for the changes into
+    and out of it, which a policy may miss.
     """
-    judged = list(judged)
+    scored = list(scored)
     while True:
-        best = best_verdict([rival.verdict for rival in judged])
-        simpler = _unknown(merged(judged[best].labels), judged)
+        best = best_candidate([one.scores for one in scored])
+        simpler = _unknown(merged(scored[best].labels), scored)
         if not simpler:
-            return judged
-        judged += judge(data, task, torch.stack(simpler), on_round)
-        if best_verdict([rival.verdict for rival in judged]) == best:
-            return judged
+            return scored
+        scored += score_candidates(data, task, torch.stack(simpler), on_round)
+        if best_candidate([one.scores for one in scored]) == best:
+            return scored
 
 
 def merged(labels: Int64[Tensor, " frames"]) -> list[Int64[Tensor, " frames"]]:
@@ -79,11 +97,11 @@ def merged(labels: Int64[Tensor, " frames"]) -> list[Int64[Tensor, " frames"]]:
 
 
 def _unknown(
-    rivals: Sequence[Int64[Tensor, " frames"]], judged: Sequence[Judged]
+    labellings: Sequence[Int64[Tensor, " frames"]], scored: Sequence[Candidate]
 ) -> list[Int64[Tensor, " frames"]]:
-    """Those that were not judged yet, each once."""
-    known, fresh = [rival.labels for rival in judged], []
-    for labels in rivals:
+    """Those that were not scored yet, each once."""
+    known, fresh = [one.labels for one in scored], []
+    for labels in labellings:
         if not any(torch.equal(labels, other) for other in known):
             known.append(labels)
             fresh.append(labels)

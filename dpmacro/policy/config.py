@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dpmacro.data.images import Sight
-from dpmacro.features.base import FEATURES
+from dpmacro.features.kinds import FEATURES
 
 __all__ = ["PolicyConfig", "read_config"]
 
@@ -18,13 +18,14 @@ class PolicyConfig:
 
     type: str  # dpboost | baseline
     macros: int  # Q
-    first_macro: int  # the macro-action that a run starts in
+    starts: tuple[int, ...]  # macro-actions that runs start in; of several the first frame tells which
     action_names: tuple[str, ...]
     image_shape: tuple[int, int]  # height, width
     features: str  # kind of feature set
     switches: tuple[tuple[int, int], ...] = ()  # (from, to) of every switch function
     thresholds: tuple[float, ...] = ()  # a switch function fires above its own
     cues: tuple[tuple[int, ...], ...] = ()  # and right after one of these actions; none stands for any
+    recovery: bool = False  # whether its planner recovers from loops (dpmacro/policy/recovery.py)
     max_transitions: int | None = None  # S of the segmentation it was trained on; None for Q - 1
     switch_weight: float = 0.0  # of the switch functions' costs in that segmentation
     change_log_odds: tuple[tuple[float, ...], ...] = ()  # [from][to] in that segmentation; with a weight only
@@ -38,10 +39,12 @@ class PolicyConfig:
         return Sight(self.image_shape[::-1], stored=(width, height))
 
     def __post_init__(self) -> None:
-        macros = [self.first_macro, *(macro for pair in self.switches for macro in pair)]
+        macros = [*self.starts, *(macro for pair in self.switches for macro in pair)]
         sound = {
             "macros": isinstance(self.macros, int) and self.macros >= 1,
-            "first_macro and switches": all(isinstance(q, int) and 0 <= q < self.macros for q in macros),
+            "starts and switches": len(self.starts) > 0
+            and all(isinstance(q, int) and 0 <= q < self.macros for q in macros),
+            "recovery": isinstance(self.recovery, bool),
             "thresholds": len(self.thresholds) == len(self.switches)
             and all(map(math.isfinite, self.thresholds)),
             "cues": len(self.cues) in (0, len(self.switches))
@@ -72,6 +75,7 @@ def read_config(path: Path) -> PolicyConfig:
                 "action_names": tuple(values["action_names"]),
                 "image_shape": tuple(values["image_shape"]),
                 "stored_shape": stored and tuple(stored),
+                "starts": tuple(values["starts"]),
                 "switches": tuple(tuple(pair) for pair in values["switches"]),
                 "thresholds": tuple(values["thresholds"]),
                 "cues": tuple(tuple(own) for own in values.get("cues", ())),

@@ -19,7 +19,7 @@ __all__ = ["Decides", "MacroPlanner", "PolicyState"]
 class PolicyState:
     """What a policy keeps of every environment of a batch between two frames."""
 
-    macro: Int64[Tensor, " batch"]  # the current macro-action, 0..Q-1
+    macro: Int64[Tensor, " batch"]  # the current macro-action, 0..Q-1; -1 where the first frame is to tell
     action: Int64[Tensor, " batch"]  # the last action, -1 before the first
     previous: UInt8[Tensor, "batch height width 3"] | None = None  # None before the first frame
     restarted: Bool[Tensor, " batch"] | None = None  # environments whose next frame is their first

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames, StrongClassifier
 from dpmacro.boosting.learners.kinds import classifier_from, classifier_tensors
-from dpmacro.features.base import FeatureSet, features_from
+from dpmacro.features.base import Encoder
+from dpmacro.features.kinds import features_from
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig, read_config
 from dpmacro.policy.planner import MacroPlanner, PolicyState
@@ -35,17 +36,19 @@ class MacroPolicy:
     """
 
     config: PolicyConfig
-    features: FeatureSet  # just the columns that some stump looks at
+    features: Encoder  # just the columns that some stump looks at
     quantiser: Quantiser
     actor: StrongClassifier  # problems are macro-actions, classes are actions
-    switcher: StrongClassifier | None  # problems are config.switches, one class
+    switcher: (
+        StrongClassifier | None
+    )  # problems are config.switches, then several starts; one class
     stretches: Stretches | None = None  # what demonstrators did, which recovery replays
 
     @classmethod
     def compact(
         cls,
         config: PolicyConfig,
-        features: FeatureSet,
+        features: Encoder,
         quantiser: Quantiser,
         actor: StrongClassifier,
         switcher: StrongClassifier | None,
@@ -70,13 +73,12 @@ class MacroPolicy:
 
     def initial_state(self, batch: int) -> PolicyState:
         """The state of `batch` environments before their first frame."""
-        first = self.config.first_macro
-        macro, action = (torch.full((batch,), value, device=self.device) for value in (first, -1))
+        macro, action = (torch.full((batch,), value, device=self.device) for value in (self._first, -1))
         return PolicyState(macro, action)
 
     def restart(self, state: PolicyState, which: Bool[Tensor, " batch"]) -> PolicyState:
         """The state where the environments of `which` begin anew while the others run on."""
-        macro = torch.where(which, self.config.first_macro, state.macro)
+        macro = torch.where(which, self._first, state.macro)
         restarted = which if state.restarted is None else state.restarted | which
         action = torch.where(which, -1, state.action)
         return PolicyState(macro, action, state.previous, restarted)
@@ -113,19 +115,37 @@ class MacroPolicy:
         return scores, PolicyState(macro, state.action, images)
 
     def _switch(self, frames: Frames, state: PolicyState) -> Int64[Tensor, " batch"]:
+        """The macro-action of every environment at these frames."""
         macro = state.macro
         if self.switcher is None:
             return macro
+        scores = self.switcher.scores(frames)[:, :, 0]
         sources, targets, thresholds = self._routes
-        excess = self.switcher.scores(frames)[:, :, 0] - thresholds
+        if len(self.config.starts) > 1:
+            told = self._starts[scores[:, len(sources) :].argmax(1)]
+            macro = torch.where(macro < 0, told, macro)
+        if not len(sources):
+            return macro
+        excess = scores[:, : len(sources)] - thresholds
         excess = excess.masked_fill((sources != macro[:, None]) | ~self._cued[state.action], -torch.inf)
         highest = excess.max(1)
         return torch.where(highest.values > 0, targets[highest.indices], macro)
 
+    @property
+    def _first(self) -> int:
+        """The macro-action that runs start in; -1 where the first frame tells."""
+        starts = self.config.starts
+        return starts[0] if len(starts) == 1 else -1
+
+    @cached_property
+    def _starts(self) -> Int64[Tensor, " starts"]:
+        return torch.tensor(self.config.starts, device=self.device)
+
     @cached_property
     def _routes(self) -> tuple[Tensor, Tensor, Tensor]:
         """Where each switch function leads from and to, and its threshold."""
-        sources, targets = torch.tensor(self.config.switches, device=self.device).unbind(1)
+        pairs = torch.tensor(self.config.switches, dtype=torch.int64, device=self.device).reshape(-1, 2)
+        sources, targets = pairs.unbind(1)
         return sources, targets, torch.tensor(self.config.thresholds, device=self.device)
 
     @cached_property
@@ -149,7 +169,7 @@ class MacroPolicy:
         Raises ValueError where recovery is wanted and the policy holds no actions of demonstrators.
         """
         if recovery is None:
-            recovery = bool(getattr(self.config, "recovery", False))
+            recovery = self.config.recovery
         if not recovery:
             return MacroPlanner(self)
         if self.stretches is None:
@@ -215,6 +235,6 @@ def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:
         features_from(config.features, *config.image_shape, groups["features"]),
         Quantiser(**groups["quantiser"]),
         classifier_from(groups["actor"]),
-        classifier_from(groups["switcher"]) if config.switches else None,
+        classifier_from(groups["switcher"]) if config.switches or len(config.starts) > 1 else None,
         Stretches.from_tensors(groups["stretches"]) if "stretches" in groups else None,
     )

@@ -33,7 +33,7 @@ from jaxtyping import Float, Int64, UInt8
 from torch import Tensor
 
 from dpmacro.policy.planner import MacroPlanner
-from dpmacro.switching.functions import macro_segments
+from dpmacro.segmentation.segments import macro_segments
 
 __all__ = ["MAX_ACTIONS", "LoopBreaker", "RecoveringPlanner", "Stretches"]
 

@@ -45,7 +45,10 @@ def costs_without(
 ) -> Float[Tensor, "frames macros"]:
     """V_n(q): the least cost of all frames but n and `reach` on either side when n has label q; float64.
 
-    Args and errors are those of `segment`. A transition among the frames left out costs nothing but counts.
+    Args and errors are those of `segment`. With a `reach` of 1 or more the frames left out hold one
+    transition at most, which costs nothing but counts: frame n has the label of the frames before them or of
+    those after them, at the ends of a trajectory that of the only side there is. (An excursion to another label and back
+    within them would be free wherever the bound has slack, and every label of n as good as any other.)
     `reach` of 1 or more goes without transition costs (ValueError).
     """
     check(costs, lengths, max_transitions, transition_costs)
@@ -71,14 +74,23 @@ def _costs_without(
         # Walked backwards, frame n-1 is the first after the change that frame n begins.
         backwards = changes.roll(-1, 0).transpose(1, 2)[mirrored]
     before = _arrivals(costs, inside, max_transitions, reach, changes)
-    after = _arrivals(costs[mirrored], inside, max_transitions, reach, backwards)[:, mirrored]
-    return (before + after.flip(0)).amin(0)
+    after = _arrivals(costs[mirrored], inside, max_transitions, reach, backwards)
+    if reach == 0:
+        return (before[1] + after[1][:, mirrored].flip(0)).amin(0)
+    ways = ((0, 1), (1, 0))  # a side that changes its label within the gap, and one that does not
+    sums = [before[one] + after[other][:, mirrored].flip(0) for one, other in ways]
+    found = torch.minimum(*sums).amin(0)
+    return torch.where(found.isfinite(), found, 0.0)  # nothing outside the gap
 
 
 def _arrivals(
     costs: Tensor, inside: Tensor, max_transitions: int, reach: int, changes: Tensor | None
-) -> Float[Tensor, "bounds frames macros"]:
-    """F'_s(n, q): the least cost of the frames before n - reach, at most s transitions up to n."""
+) -> Float[Tensor, "2 bounds frames macros"]:
+    """The least cost of the frames before n - reach, at most s transitions up to n: F_s(n - reach - 1, q)
+    without a transition in between, and F'_s(n, q) with one or none.
+
+    Where there are no such frames the former is infinite if `reach` is 1 or more, the latter 0.
+    """
     transitions = None if changes is None else pad(changes, inside)
     best, _ = recursion(pad(costs, inside).cumsum(2), max_transitions, transitions)
     gap = reach + 1
@@ -90,7 +102,10 @@ def _arrivals(
         moved = (moved[:, :, :, None] + transitions).masked_fill(_stays(transitions), torch.inf).amin(2)
         moved[..., 0] = 0
     arriving = torch.cat([earlier[:1], torch.minimum(earlier[1:], moved)])
-    return arriving.movedim(3, 2)[:, inside]
+    if reach > 0:
+        earlier = earlier.clone()
+        earlier[..., :gap] = torch.inf
+    return torch.stack([earlier, arriving]).movedim(4, 3)[:, :, inside]
 
 
 def _stays(transitions: Tensor) -> Tensor:

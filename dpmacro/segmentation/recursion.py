@@ -29,7 +29,6 @@ __all__ = [
     "pad",
     "recursion",
     "segment",
-    "transition_counts",
 ]
 
 BLOCK = 2**17  # costs of so many frames and macro-actions stay in a core's cache
@@ -93,18 +92,6 @@ def cost_of(
     changed[(lengths.cumsum(0) - lengths).to(labels.device)] = False
     after = changed.nonzero()[:, 0]
     return total + transition_costs.double()[after, labels[after - 1], labels[after]].sum()
-
-
-def transition_counts(
-    labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]
-) -> Int64[Tensor, " trajectories"]:
-    """The number of frames whose macro-label differs from the one before, for every trajectory."""
-    changed = torch.zeros_like(labels)
-    changed[1:] = (labels[1:] != labels[:-1]).long()
-    ends = lengths.to(labels.device).cumsum(0)
-    changed[ends[:-1]] = 0
-    total = torch.nn.functional.pad(changed.cumsum(0), (1, 0))
-    return total[ends] - total[torch.nn.functional.pad(ends[:-1], (1, 0))]
 
 
 def blocks_of(

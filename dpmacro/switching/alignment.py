@@ -1,4 +1,8 @@
-"""Changes moved to where switch functions fire, so that few inexact ones do not spoil those to come."""
+"""Change points moved to where switch functions fire.
+
+A change point that lies a frame or two late in a few trajectories spoils the switch function that learns from
+it. Functions fitted to the other trajectories show where it belongs.
+"""
 
 from collections.abc import Callable
 
@@ -6,22 +10,22 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from dpmacro.switching.functions import SwitchFunctions, causal_labels, starting_macro
+from dpmacro.segmentation.segments import starting_macros
+from dpmacro.switching.functions import SwitchFunctions, causal_labels
 
 __all__ = ["aligned", "realigned"]
 
-ALIGNMENTS = 3  # times that changes are moved, at most
+PASSES = 3  # times that change points are moved, at most
 
 
 def aligned(
     switches: SwitchFunctions, labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]
 ) -> Int64[Tensor, " frames"]:
-    """The segmentation with its changes where switch functions that never saw a trajectory make them in it.
+    """The segmentation with its changes where the left-out margins of switch functions make them.
 
     Trajectories in which they would not make the same changes in the same order stay as they are.
     """
-    first = starting_macro(labels, lengths)
-    told = causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, first)
+    told = causal_labels(switches.margins, switches.pairs, lengths, starting_macros(labels, lengths))
     parts = [part.split(lengths.tolist()) for part in (labels.cpu(), told)]
     return torch.cat(
         [
@@ -38,16 +42,16 @@ def realigned(
 ) -> Int64[Tensor, " frames"]:
     """The segmentation with its changes moved to where switch functions fire that `fit` makes from labels.
 
-    Where a change is a frame or two late in a few trajectories, the others tell. Changes are moved as long as
-    more of them are recognised for it, `ALIGNMENTS` times at most; where nothing was left out, never.
+    Changes are moved for as long as a larger share of them is recognised for it, `PASSES` times at most, and
+    never where nothing was left out.
     """
     switches = fit(labels)
-    for _ in range(ALIGNMENTS * switches.left_out):
+    for _ in range(PASSES * switches.left_out):
         moved = aligned(switches, labels, lengths)
         if torch.equal(moved, labels):
             break
         again = fit(moved)
-        if float(again.detected.mean()) <= float(switches.detected.mean()):
+        if again.mean_recognised <= switches.mean_recognised:
             break
         labels, switches = moved, again
     return labels

@@ -1,7 +1,10 @@
-"""Switch functions: when to leave a macro-action (Section IV of the paper).
+"""Switch functions: when a running policy changes its macro-action, and which one it starts with.
 
-For every observed change q -> q' a binary strong classifier H_q^q' tells, frame by frame, whether it is due;
-`switching/training.py` fits them. A planner knows what it has just done: a switch function may fire only after an action that comes before its changes in demonstrations, its cues.
+For every observed change q -> q' a binary strong classifier H_q^q' tells, frame by frame, whether it is due
+(Section IV of the paper). Two things are not the paper's. A policy knows which action it has just taken, so a
+switch function may be restricted to the frames after its cues: the actions that come right before its changes
+in the demonstrations. And where demonstrations start with different macro-actions, one more classifier for
+each of those tells from the first frame which one it is.
 """
 
 from collections.abc import Sequence
@@ -13,72 +16,48 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.base import StrongClassifier
 
-__all__ = [
-    "Event",
-    "SwitchFunctions",
-    "causal_labels",
-    "cued",
-    "macro_segments",
-    "starting_macro",
-]
+__all__ = ["SwitchFunctions", "causal_labels", "cued", "predicted_labels"]
 
 
 @dataclass(frozen=True)
 class SwitchFunctions:
     """One switch function for every observed change, the same order throughout.
 
+    Scores and margins called left-out are those of functions that were fitted without the frame's
+    trajectory, or its fold. A margin is the score less the threshold which the other folds chose, -inf where
+    the cues that the other folds chose do not allow a change: the frame itself had no say in it.
+
     Attributes:
         pairs: (from, to) macro-actions.
-        thresholds: it fires where its score is above.
-        detected: share, 0 to 1, of the segments before its change where, by `held_out`, it fires at the
-            change and never before.
-        held_out: score of every frame by a function that never saw its trajectory, -18 where it may not fire.
-        classifier: one binary problem per switch function; None where nothing ever changes.
+        starts: macro-actions that trajectories start with, ascending.
+        thresholds: a switch function fires where its score is above.
         cues: actions that each may follow; none stands for any.
-        left_out: False where there was one trajectory alone, whose `held_out` is by what learned from it.
+        recognised: share, 0 to 1, of the changes of each pair at whose first frame, and not before it in the
+            same segment, the left-out margin is above 0.
+        scores: left-out score of every frame, -18 where the function may not fire.
+        margins: left-out margin of every frame.
+        first: macro-action that left-out classifiers of the start give every trajectory.
+        classifier: one binary problem per switch function, then one per start where there are several; None
+            where nothing ever changes and all trajectories start alike.
+        left_out: False where there was one trajectory alone: scores and margins are then of functions that
+            were fitted to it.
     """
 
-    pairs: list[tuple[int, int]]
+    pairs: tuple[tuple[int, int], ...]
+    starts: tuple[int, ...]
     thresholds: Float[Tensor, " switches"]
-    detected: Float[Tensor, " switches"]
-    held_out: Float[Tensor, "frames switches"]
+    cues: tuple[tuple[int, ...], ...]
+    recognised: Float[Tensor, " switches"]
+    scores: Float[Tensor, "frames switches"]
+    margins: Float[Tensor, "frames switches"]
+    first: Int64[Tensor, " trajectories"]
     classifier: StrongClassifier | None
-    cues: tuple[tuple[int, ...], ...] = ()
     left_out: bool = True
 
-
-@dataclass(frozen=True)
-class Event:
-    """A segment of a macro-action and what follows it, in frames of the concatenated data."""
-
-    trajectory: int
-    macro: int
-    start: int
-    stop: int
-    following: int | None  # the next macro-action; None at the end of the trajectory
-    following_stop: int  # end of the next segment; `stop` where there is none
-
-
-def macro_segments(labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]) -> list[Event]:
-    """The segments of constant macro-label, in order, each with its successor in the trajectory."""
-    events = []
-    first = 0
-    for trajectory, part in enumerate(labels.cpu().split(lengths.tolist())):
-        macros, counts = part.unique_consecutive(return_counts=True)
-        bounds = (counts.cumsum(0) + first).tolist()
-        starts = [first, *bounds[:-1]]
-        for k, macro in enumerate(macros.tolist()):
-            follows = k + 1 < len(bounds)
-            following = int(macros[k + 1]) if follows else None
-            events.append(Event(trajectory, macro, starts[k], bounds[k], following, bounds[k + follows]))
-        first = bounds[-1]
-    return events
-
-
-def starting_macro(labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]) -> int:
-    """The macro-action that most trajectories start with."""
-    starts = torch.nn.functional.pad(lengths.cumsum(0)[:-1], (1, 0)).to(labels.device)
-    return int(labels[starts].mode().values)
+    @property
+    def mean_recognised(self) -> float:
+        """Mean of `recognised` over the switch functions; 0 where there is none."""
+        return float(self.recognised.mean()) if self.pairs else 0.0
 
 
 def cued(
@@ -86,7 +65,7 @@ def cued(
     lengths: Int64[Tensor, " trajectories"],
     cues: Sequence[Sequence[int]],
 ) -> Bool[Tensor, "frames switches"]:
-    """Whether each switch function may fire at a frame; none may at the first of a trajectory."""
+    """Whether the action before each frame is a cue of each switch function; never at a first frame."""
     actions = actions.cpu()
     before = torch.nn.functional.pad(actions[:-1], (1, 0), value=-1)
     before[(lengths.cumsum(0) - lengths).cpu()] = -1
@@ -94,24 +73,70 @@ def cued(
 
 
 def causal_labels(
-    scores: Float[Tensor, "frames switches"],
-    thresholds: Float[Tensor, " switches"],
-    pairs: list[tuple[int, int]],
+    margins: Float[Tensor, "frames switches"],
+    pairs: Sequence[tuple[int, int]],
     lengths: Int64[Tensor, " trajectories"],
-    first_macro: int,
+    first: Int64[Tensor, " trajectories"],
 ) -> Int64[Tensor, " frames"]:
-    """The macro-labels that the switch functions choose as they run, frame by frame, never looking ahead."""
-    labels = torch.full((len(scores),), first_macro, dtype=torch.int64)
-    for start, length in zip((lengths.cumsum(0) - lengths).tolist(), lengths.tolist(), strict=True):
-        stop, frame, macro = start + length, start, first_macro
+    """The macro-labels that switch functions choose frame by frame, never looking ahead.
+
+    Args:
+        margins: score less threshold; the highest above 0 of the current macro-action fires.
+        pairs: (from, to) of every switch function.
+        lengths: frames of every trajectory.
+        first: macro-action that each trajectory starts with.
+    """
+    labels = first.repeat_interleave(lengths)
+    for start, length, begun in zip(
+        (lengths.cumsum(0) - lengths).tolist(), lengths.tolist(), first.tolist(), strict=True
+    ):
+        stop, frame, macro = start + length, start, begun
         while True:
-            own = torch.tensor([source == macro for source, _ in pairs], dtype=torch.bool)
-            excess = (scores[frame:stop] - thresholds)[:, own]
-            firing = (excess > 0).any(1).nonzero()
+            own = [place for place, (source, _) in enumerate(pairs) if source == macro]
+            ahead = margins[frame:stop, own]
+            firing = (ahead > 0).any(1).nonzero()
             if not len(firing):
                 break
             frame += int(firing[0])
-            macro = [pair for pair in pairs if pair[0] == macro][int(excess[int(firing[0])].argmax())][1]
+            macro = pairs[own[int(margins[frame, own].argmax())]][1]
             labels[frame:stop] = macro
             frame += 1
     return labels
+
+
+def predicted_labels(
+    scores: Float[Tensor, "frames macros actions"],
+    margins: Float[Tensor, "frames switches"],
+    pairs: Sequence[tuple[int, int]],
+    cues: Sequence[Sequence[int]],
+    lengths: Int64[Tensor, " trajectories"],
+    first: Int64[Tensor, " trajectories"],
+) -> tuple[Int64[Tensor, " frames"], Int64[Tensor, " frames"]]:
+    """Macro-labels and actions of a policy that sees the frames of trajectories and takes its own actions.
+
+    Args:
+        scores: f_q^m(x) of every frame; the action of the highest is taken.
+        margins: as for `causal_labels`, without regard to cues.
+        cues: actions that each switch function may follow, of those that the policy took; none for any.
+        pairs, lengths, first: as for `causal_labels`.
+    """
+    n_actions = scores.shape[2]
+    allowed = torch.full((n_actions + 1, len(pairs)), not cues)  # the last row: no action so far
+    for place, own in enumerate(cues):
+        allowed[torch.tensor(own), place] = True
+    sources, targets = torch.tensor(list(pairs), dtype=torch.int64).reshape(-1, 2).unbind(1)
+    starts = lengths.cumsum(0) - lengths
+    macro, action = first.clone(), torch.full_like(first, n_actions)
+    labels, actions = (torch.empty(len(scores), dtype=torch.int64) for _ in range(2))
+    for time in range(int(lengths.max())):
+        rows = (lengths > time).nonzero()[:, 0]
+        frames = starts[rows] + time
+        if len(sources):
+            wanted = margins[frames].masked_fill(
+                (sources != macro[rows, None]) | ~allowed[action[rows]], -torch.inf
+            )
+            highest = wanted.max(1)
+            macro[rows] = torch.where(highest.values > 0, targets[highest.indices], macro[rows])
+        action[rows] = scores[frames, macro[rows]].argmax(1)
+        labels[frames], actions[frames] = macro[rows], action[rows]
+    return labels, actions

@@ -1,4 +1,4 @@
-"""The threshold of a switch function, from scores of trajectories that its training left out."""
+"""The threshold of a switch function, from the scores of functions that never saw the trajectory."""
 
 import itertools
 from collections.abc import Sequence
@@ -6,30 +6,26 @@ from collections.abc import Sequence
 from jaxtyping import Float
 from torch import Tensor
 
-from dpmacro.switching.functions import Event
+from dpmacro.segmentation.segments import Segment
 
-__all__ = ["calibrated"]
+__all__ = ["best_threshold", "recognised_share"]
 
 
-def calibrated(
-    pair: tuple[int, int], events: Sequence[Event], scores: Float[Tensor, " frames"]
-) -> tuple[float, float]:
-    """The threshold under which most segments are left in time, and the share of them that are, 0 to 1.
+def best_threshold(segments: Sequence[Segment], scores: Float[Tensor, " frames"]) -> float:
+    """The threshold under which most of the segments are left at their end and not before.
 
     A segment is left in time where before <= threshold < at: the highest score before its change, and the
-    score at the change's first frame. Later frames do not count: a planner that has not changed by then will
-    not see them. The middle of the widest best range wins; where no threshold serves any segment, zero, the
-    switch function's own decision boundary, stands.
+    score at the change's first frame. Later frames do not count, since a policy that has not changed by then
+    will not see them. The middle of the widest best range wins; where no threshold serves any segment, zero,
+    the switch function's own decision boundary, stands.
 
     Args:
-        pair: (from, to) of the switch function.
-        events: all segments; those that the pair ends count.
-        scores: of every frame, by functions that never saw its trajectory.
+        segments: those that end in the change of the switch function.
+        scores: of every frame.
     """
     peaks = [
-        (float(scores[event.start : event.stop].max()), float(scores[event.stop]))
-        for event in events
-        if (event.macro, event.following) == pair
+        (float(scores[segment.start : segment.stop].max()), float(scores[segment.stop]))
+        for segment in segments
     ]
     levels = sorted({value for peak in peaks for value in peak})
     ranges = [
@@ -37,4 +33,13 @@ def calibrated(
         for low, high in itertools.pairwise(levels)
     ]
     in_time, _, threshold = max(ranges, default=(0, 0.0, 0.0))
-    return (threshold, in_time / len(peaks)) if in_time else (0.0, 0.0)
+    return threshold if in_time else 0.0
+
+
+def recognised_share(segments: Sequence[Segment], margins: Float[Tensor, " frames"]) -> float:
+    """Share, 0 to 1, of the segments whose margin is above 0 at the change that ends them and not before."""
+    in_time = [
+        float(margins[segment.start : segment.stop].max()) <= 0 < float(margins[segment.stop])
+        for segment in segments
+    ]
+    return sum(in_time) / len(in_time)

@@ -1,8 +1,8 @@
 """Switch functions learned from the change points of a segmentation (Section IV of the paper).
 
-H_q^q' separates the J frames from a change on (positives) from the frames of q (negatives), both sides
-weighing the same. It is asked only after its cues, so it learns only from frames after them: what tells a
-change from a turn need not tell it from a step. Its threshold is calibrated on left-out trajectories.
+H_q^q' separates the J frames from a change on (positives) from the frames before it (negatives), both sides
+weighing the same. Where it may fire only after its cues, it learns only from frames after them. Its
+threshold is chosen by the scores of functions that never saw the trajectory.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,15 +14,17 @@ from torch import Tensor
 
 from dpmacro.boosting.folds import folds_of
 from dpmacro.boosting.learners.base import WeakLearner
-from dpmacro.boosting.loop import MARGIN_LIMIT, Boosting, Round, exponentials_of
+from dpmacro.boosting.loop import Boosting, Round
+from dpmacro.boosting.losses import MARGIN_LIMIT, exponentials_of
 from dpmacro.boosting.stopping import BestRound
-from dpmacro.switching.functions import Event, SwitchFunctions, cued, macro_segments
-from dpmacro.switching.threshold import calibrated
+from dpmacro.segmentation.segments import Segment, macro_segments, starting_macros
+from dpmacro.switching.functions import SwitchFunctions, cued
+from dpmacro.switching.threshold import best_threshold, recognised_share
 
-__all__ = ["FOLDS", "SwitchSettings", "examples", "fit_switches"]
+__all__ = ["SWITCH_FOLDS", "SwitchSettings", "examples", "fit_switches"]
 
 COVERED = 0.75  # of the changes, by their cues
-FOLDS = 5  # of trajectories; one function for each leaves it out, one more sees all
+SWITCH_FOLDS = 5  # of trajectories; one function for each leaves it out, one more sees all
 
 
 @dataclass(frozen=True)
@@ -32,21 +34,29 @@ class SwitchSettings:
     Attributes:
         rounds: boosting rounds, 1 or more.
         window: J >= 1, the positive frames from a change on. Later ones show what the next macro-action
-            does, which a planner that waits for the change never sees: with J = 10 a correction near the
-            flag passes for the change.
+            does, which a policy that waits for the change never sees.
         shrinkage: factor in (0, 1] on every weak hypothesis.
         folds: parts, 2 or more, that trajectories are dealt into; a function that never saw it scores each.
         early_stopping: whether every switch function keeps the rounds with the least loss on left-out parts.
         focused: whether frames after other actions than the cues are no examples. Where some changes are
             a frame or two late all frames are better ones: the true change is then taken for a frame before.
+        whole_past: whether all frames of the trajectory before the change are negatives, as in the paper,
+            instead of the frames of all segments of macro-action q.
+        calibrated: whether left-out scores choose the thresholds; else they are 0.
+        cues: whether a function may fire only after the actions that come before its changes.
+        aligned: whether changes are moved to where left-out functions fire before the final fit.
     """
 
-    rounds: int
+    rounds: int = 400
     window: int = 3
     shrinkage: float = 0.2
-    folds: int = FOLDS
+    folds: int = SWITCH_FOLDS
     early_stopping: bool = False
     focused: bool = True
+    whole_past: bool = False
+    calibrated: bool = True
+    cues: bool = True
+    aligned: bool = True
 
     def __post_init__(self) -> None:
         if self.window < 1 or self.rounds < 1:
@@ -55,6 +65,15 @@ class SwitchSettings:
             raise ValueError(f"shrinkage is {self.shrinkage}: give a number above 0 and up to 1")
         if self.folds < 2:
             raise ValueError(f"folds is {self.folds}: give 2 or more, so that something can be left out")
+
+
+@dataclass(frozen=True)
+class _Fold:
+    """What one fit of the switch functions leaves out, and what the rest says."""
+
+    left_out: Bool[Tensor, " trajectories"]
+    cues: tuple[tuple[int, ...], ...]  # of every pair; none stands for any
+    asked: Bool[Tensor, "frames switches"]  # where the cues allow a change
 
 
 def fit_switches(
@@ -75,49 +94,117 @@ def fit_switches(
         labels, lengths: the segmentation.
         generator: deals trajectories into folds, and draws what the learner draws.
         settings: see there.
-        groups: trajectories of the same group fall into the same part, like mirror images; alone by default.
+        groups: trajectories of the same group fall into the same fold; alone by default.
         actions: of every frame, for the cues; without them a switch function may fire after any action.
         on_round: called after every round with the balanced loss and accuracy over all of them.
 
-    All switch functions and all their folds are boosted side by side. With a single trajectory nothing can
-    be left out, and the calibration uses the training scores (`SwitchFunctions.left_out` is False).
+    All switch functions and all their folds are boosted side by side. The cues and the threshold under which
+    a fold's changes count as recognised are chosen by the other folds; the functions that scored those other
+    folds have seen this one. With a single trajectory nothing can be left out
+    (`SwitchFunctions.left_out` is False).
 
     Raises ValueError where the learner does not hold a whole number of copies of the frames.
     """
-    n_frames = len(labels)
+    n_frames, labels = len(labels), labels.cpu()
     copies, rest = divmod(learner.n_frames, n_frames)
     if rest or not copies:
         raise ValueError(f"the learner holds {learner.n_frames} frames and {n_frames} are labelled")
-    events = macro_segments(labels, lengths)
-    pairs = sorted({(event.macro, event.following) for event in events if event.following is not None})
-    if not pairs:
-        return SwitchFunctions([], torch.zeros(0), torch.zeros(0), torch.zeros(n_frames, 0), None)
-    cues = () if actions is None else tuple(_cues(pair, events, actions) for pair in pairs)
-    asked = torch.ones(n_frames, len(pairs), dtype=torch.bool)
-    if actions is not None:
-        asked = cued(actions, lengths, cues)
-    shown = asked if settings.focused else torch.ones_like(asked)
+    segments = macro_segments(labels, lengths)
+    pairs = tuple(sorted({(one.macro, one.following) for one in segments if one.following is not None}))
+    begun = starting_macros(labels, lengths)
+    starts = tuple(begun.unique().tolist())
+    asking = starts if len(starts) > 1 else ()
+    if not pairs and not asking:
+        none = torch.zeros(n_frames, 0)
+        return SwitchFunctions((), starts, torch.zeros(0), (), torch.zeros(0), none, none, begun, None)
     fold_of = folds_of(len(lengths), settings.folds, generator, groups)
-    n_fits = int(fold_of.max()) + 2 if fold_of.any() else 1  # the last one sees every trajectory
+    n_folds = int(fold_of.max()) + 1 if fold_of.any() else 0
+    folds = [_fold(fold_of == fold, pairs, segments, lengths, actions) for fold in [*range(n_folds), -1]]
     weights, targets = zip(
         *(
-            examples(pair, events, fold_of == fold, own, settings.window)
-            for pair, own in zip(pairs, shown.unbind(1), strict=True)
-            for fold in [*range(n_fits - 1), -1]
+            examples(pair, segments, fold.left_out, shown, settings.window, settings.whole_past, lengths)
+            for place, pair in enumerate(pairs)
+            for fold in folds
+            for shown in [fold.asked[:, place] if settings.focused else torch.ones(n_frames).bool()]
+        ),
+        *(
+            _start_examples(start, segments, fold.left_out, n_frames, settings.window)
+            for start in asking
+            for fold in folds
         ),
         strict=True,
     )
     all_targets = torch.stack(targets, 1).repeat(copies, 1)[:, :, None].to(learner.device)
     boosting = Boosting(learner, all_targets, len(targets), settings.shrinkage, generator)
     base = (torch.stack(weights, 1).repeat(copies, 1) / copies).to(learner.device)
-    own_fit = fold_of.clamp(max=n_fits - 1).repeat_interleave(lengths).to(learner.device)
-    held_out, kept = _boosted(boosting, base, own_fit, n_fits, settings, on_round)
-    held_out = held_out.cpu().masked_fill(~asked, -MARGIN_LIMIT)
-    found = [calibrated(pair, events, scores) for pair, scores in zip(pairs, held_out.unbind(1), strict=True)]
-    thresholds, detected = torch.tensor(found).unbind(1)
-    last = torch.arange(n_fits - 1, len(targets), n_fits, device=learner.device)
-    classifier = boosting.strong(kept).select(last)
-    return SwitchFunctions(pairs, thresholds, detected, held_out, classifier, cues, n_fits > 1)
+    own_fit = fold_of.clamp(max=max(n_folds - 1, 0)).repeat_interleave(lengths).to(learner.device)
+    scored, kept = _boosted(boosting, base, own_fit, len(folds), settings, on_round)
+    scores, of_starts = scored.cpu().split([len(pairs), len(asking)], 1)
+    scores = scores.masked_fill(~folds[-1].asked, -MARGIN_LIMIT)
+    own = [[one for one in segments if (one.macro, one.following) == pair] for pair in pairs]
+    margins = _margins(own, scored.cpu()[:, : len(pairs)], folds, own_fit.cpu(), settings)
+    last = torch.arange(len(folds) - 1, len(targets), len(folds), device=learner.device)
+    return SwitchFunctions(
+        pairs,
+        starts,
+        _thresholds(own, scores, folds[-1].left_out, settings),
+        folds[-1].cues if actions is not None else (),
+        torch.tensor([recognised_share(*parts) for parts in zip(own, margins.unbind(1), strict=True)]),
+        scores,
+        margins,
+        torch.tensor(starts)[of_starts[lengths.cumsum(0) - lengths].argmax(1)] if asking else begun,
+        boosting.strong(kept).select(last),
+        n_folds > 0,
+    )
+
+
+def _fold(
+    left_out: Bool[Tensor, " trajectories"],
+    pairs: Sequence[tuple[int, int]],
+    segments: Sequence[Segment],
+    lengths: Int64[Tensor, " trajectories"],
+    actions: Int64[Tensor, " frames"] | None,
+) -> _Fold:
+    """A fold with the cues that the trajectories outside it give."""
+    if actions is None or not pairs:
+        return _Fold(left_out, (), torch.ones(int(lengths.sum()), len(pairs), dtype=torch.bool))
+    inside = [one for one in segments if not left_out[one.trajectory]]
+    cues = tuple(_cues(pair, inside, actions) for pair in pairs)
+    return _Fold(left_out, cues, cued(actions, lengths, cues))
+
+
+def _thresholds(
+    segments: Sequence[Sequence[Segment]],
+    scores: Float[Tensor, "frames switches"],
+    left_out: Bool[Tensor, " trajectories"],
+    settings: SwitchSettings,
+) -> Float[Tensor, " switches"]:
+    """The threshold of every switch function, chosen by the trajectories that are not left out."""
+    if not settings.calibrated:
+        return torch.zeros(len(segments))
+    inside = [[one for one in own if not left_out[one.trajectory]] for own in segments]
+    return torch.tensor([best_threshold(*parts) for parts in zip(inside, scores.unbind(1), strict=True)])
+
+
+def _margins(
+    segments: Sequence[Sequence[Segment]],
+    scored: Float[Tensor, "frames switches"],
+    folds: Sequence[_Fold],
+    own_fit: Int64[Tensor, " frames"],
+    settings: SwitchSettings,
+) -> Float[Tensor, "frames switches"]:
+    """Left-out scores less the thresholds of the other folds, -inf outside their cues.
+
+    `folds` has all but one that leave something out, and last the one that sees every trajectory.
+    """
+    result = torch.empty_like(scored)
+    for number, fold in enumerate(folds[:-1] or folds):
+        asked = scored.masked_fill(~fold.asked, -MARGIN_LIMIT)
+        margins = asked - _thresholds(segments, asked, fold.left_out, settings)
+        result = torch.where(
+            (own_fit == number)[:, None], margins.masked_fill(~fold.asked, -torch.inf), result
+        )
+    return result
 
 
 def _boosted(
@@ -161,46 +248,85 @@ def _boosted(
 
 def examples(
     pair: tuple[int, int],
-    events: Sequence[Event],
+    segments: Sequence[Segment],
     left_out: Bool[Tensor, " trajectories"],
     shown: Bool[Tensor, " frames"],
     window: int,
+    whole_past: bool,
+    lengths: Int64[Tensor, " trajectories"],
 ) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
     """Base weights, half a side, and targets of a switch function that never sees what is left out.
 
     Args:
         pair: (from, to) macro-actions.
-        events: the segments of all trajectories.
+        segments: of all trajectories.
         left_out: trajectories without examples.
         shown: frames that may be examples.
         window: J, the positive frames from a change on; fewer where the next segment is shorter.
+        whole_past: whether the negatives are all frames of the trajectory before a change of the pair (the
+            paper's), instead of those of all segments of the pair's first macro-action.
+        lengths: frames of every trajectory.
     """
     weights = torch.zeros(len(shown))
     targets = torch.zeros(len(shown), dtype=torch.bool)
-    macro, following = pair
-    for event in events:
-        if event.macro != macro or left_out[event.trajectory]:
+    firsts = (lengths.cumsum(0) - lengths).tolist()
+    for segment in segments:
+        changes = (segment.macro, segment.following) == pair
+        if segment.macro != pair[0] or left_out[segment.trajectory] or (whole_past and not changes):
             continue
-        weights[event.start : event.stop] = 1
-        if event.following == following:
-            positives = slice(event.stop, min(event.stop + window, event.following_stop))
+        weights[firsts[segment.trajectory] if whole_past else segment.start : segment.stop] = 1
+        if changes:
+            positives = slice(segment.stop, min(segment.stop + window, segment.following_stop))
             weights[positives] = 1
             targets[positives] = True
-    weights *= shown
+    return _balanced(weights * shown, targets), targets
+
+
+def _start_examples(
+    start: int,
+    segments: Sequence[Segment],
+    left_out: Bool[Tensor, " trajectories"],
+    n_frames: int,
+    window: int,
+) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
+    """Likewise for a start: the first frames, `window` at most, of trajectories that begin so and others."""
+    weights = torch.zeros(n_frames)
+    targets = torch.zeros(n_frames, dtype=torch.bool)
+    seen = -1
+    for segment in segments:
+        if segment.trajectory == seen:
+            continue
+        seen = segment.trajectory
+        if not left_out[segment.trajectory]:
+            first = slice(segment.start, min(segment.start + window, segment.stop))
+            weights[first] = 1
+            targets[first] = segment.macro == start
+    return _balanced(weights, targets), targets
+
+
+def _balanced(
+    weights: Float[Tensor, " frames"], targets: Bool[Tensor, " frames"]
+) -> Float[Tensor, " frames"]:
+    """Weights of which positives and negatives have half each."""
+    weights = weights.clone()
     for side in (targets, ~targets):
         weights[side] /= (2 * weights[side].sum()).clamp(min=1)
-    return weights, targets
+    return weights
 
 
 def _cues(
-    pair: tuple[int, int], events: Sequence[Event], actions: Int64[Tensor, " frames"]
+    pair: tuple[int, int], segments: Sequence[Segment], actions: Int64[Tensor, " frames"]
 ) -> tuple[int, ...]:
     """The actions that come right before most changes of a pair, the fewest that cover `COVERED` of them.
 
-    Not all: a segmentation that is a frame or two late has the action after the change there.
+    Not all: a segmentation that is a frame or two late has the action after the change there. Every action,
+    where the segments show no such change.
     """
-    before = [event.stop - 1 for event in events if (event.macro, event.following) == pair]
-    counts = actions.cpu()[before].bincount()
+    before = [one.stop - 1 for one in segments if (one.macro, one.following) == pair]
+    actions = actions.cpu()
+    if not before:
+        return tuple(actions.unique().tolist())
+    counts = actions[before].bincount()
     order = counts.argsort(descending=True, stable=True)
     enough = int((counts[order].cumsum(0) < COVERED * len(before)).sum()) + 1
     return tuple(sorted(order[:enough].tolist()))

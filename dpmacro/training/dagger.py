@@ -77,7 +77,7 @@ def aggregate(
         _tell(latest, writer, on_iteration)
         for number in range(1, dagger.iterations + 1):
             new, agreement = _gathered(latest, demonstrations, dagger, folder.path / "gathered")
-            labels = torch.cat([latest.result.discovery.labels, annotate(latest.result.policy, new).labels])
+            labels = torch.cat([latest.result.found.labels, annotate(latest.result.policy, new).labels])
             known = known.joined(new)
             trainer = Trainer(known, _settled(options, latest.result), RunFolder(runs / str(number)))
             latest = _validated(number, trainer.train(labels), len(known.lengths), agreement, dagger)
@@ -86,12 +86,10 @@ def aggregate(
                 best = latest
             if number - best.number == PATIENCE:
                 break
-    discovery = best.result.discovery
+    found = best.result.found
     lengths = torch.from_numpy(known.lengths)[: best.trajectories]
-    rounds = len(discovery.loss)
-    pretrained = folder.checkpoint(
-        rounds, best.result.policy, plain_options(options), discovery.labels, lengths
-    )
+    rounds = len(found.loss)
+    pretrained = folder.checkpoint(rounds, best.result.policy, plain_options(options), found.labels, lengths)
     return replace(best, result=replace(best.result, pretrained=pretrained))
 
 

@@ -7,7 +7,7 @@ from torch import Tensor
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.convnet import ConvNetLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.features.base import FeatureSet, frames_before
+from dpmacro.features.base import Encoder, frames_before
 from dpmacro.features.columns import with_mirror_images
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
@@ -55,7 +55,7 @@ class WeakLearners:
         return stumps if planner.learner == "stumps" else self._networks(False)
 
     def for_switches(
-        self, data: SortedLevels, features: FeatureSet, quantiser: Quantiser, mirror: bool
+        self, data: SortedLevels, features: Encoder, quantiser: Quantiser, mirror: bool
     ) -> WeakLearner:
         """The weak learner of the switch functions; with `mirror` it holds mirror images after the frames."""
         planner = self._planner
@@ -63,7 +63,10 @@ class WeakLearners:
             return self._networks(mirror)
         if mirror:
             data = with_mirror_images(data, self._images, self._lengths, features, quantiser)
-        return StumpLearner(data, planner.switch_drawn)
+        drawn = planner.switch_drawn or self._drawn
+        if drawn == 0 and len(data.columns) < data.n_columns:
+            data = SortedLevels.build(data.levels)
+        return StumpLearner(data, drawn)
 
     def _networks(self, mirror: bool) -> ConvNetLearner:
         """The networks, which look at images alone."""

@@ -12,14 +12,14 @@ from tqdm import tqdm
 from dpmacro.boosting.loop import Round
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.metrics import frame_accuracy
-from dpmacro.segmentation.recursion import transition_counts
+from dpmacro.segmentation.segments import transition_counts
 
 __all__ = ["Monitor"]
 
 STAGES = {  # names on the bars
     "discover": "Segmenting",
     "validate": "Boosting, some left out",
-    "judge": "Judging segmentations",
+    "score": "Scoring segmentations",
     "recognise": "Recognising changes",
     "fit": "Boosting",
     "switch": "Switch functions",
@@ -43,6 +43,7 @@ class Monitor:
         self._clock = time.perf_counter()
         self._before: dict[str, int] = {}  # rounds of a stage in its earlier turns
         self._steps: dict[str, int] = {}
+        self._told: set[tuple[str, int]] = set()  # stages and problems that were told to have ended
 
     def on_round(self, report: Round) -> None:
         """Log one boosting round of DPBoost."""
@@ -63,6 +64,9 @@ class Monitor:
         for name, value in scalars.items():
             self._writer.add_scalar(name, value, step)
         for problem in report.ended:
+            if (stage, problem) in self._told:
+                continue
+            self._told.add((stage, problem))
             name = "switch function" if report.stage == "switch" else "macro-action"
             line = f"{STAGES[report.stage]}: {name} {problem} ends in round {report.number}, "
             line += "nothing beats chance"

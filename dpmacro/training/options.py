@@ -1,11 +1,12 @@
 """The options of train.py: one dataclass, a sentence per field, each checking itself."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import torch
 
-from dpmacro.features.base import FEATURES
+from dpmacro.discovery.settings import RECIPES
+from dpmacro.features.kinds import FEATURES
 
 __all__ = [
     "LEARNERS",
@@ -69,6 +70,8 @@ class ConvNetOptions:
 class PlannerOptions:
     """What is trained, and how."""
 
+    recipe: str = "dpmacro"
+    """dpmacro, or paper for the method of the paper alone (docs/options.md)."""
     type: str = "dpboost"
     """dpboost, or baseline for a single classifier."""
     macros: int | str = 2
@@ -111,8 +114,14 @@ class PlannerOptions:
     """Random columns that a round of stumps searches for them."""
     switch_shrinkage: float = 0.2
     """Factor on every weak hypothesis of a switch function."""
+    recovery: bool = False
+    """Whether runs of the saved policy break out of loops by replaying actions of the demonstrations."""
 
     def __post_init__(self) -> None:
+        if self.recipe not in RECIPES:
+            raise ValueError(f"planner.recipe is {self.recipe!r}: choose one of {', '.join(RECIPES)}")
+        if self.recipe == "paper":
+            _take_from_paper(self)
         if self.type not in PLANNERS:
             raise ValueError(f"planner.type is {self.type!r}: choose one of {', '.join(PLANNERS)}")
         for name in ("learner", "switch_learner"):
@@ -120,8 +129,9 @@ class PlannerOptions:
                 raise ValueError(
                     f"planner.{name} is {getattr(self, name)!r}: choose one of {', '.join(LEARNERS)}"
                 )
-        if self.drawn < 0:
-            raise ValueError(f"planner.drawn is {self.drawn}: give 0 or more")
+        for name in ("drawn", "switch_drawn"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"planner.{name} is {getattr(self, name)}: give 0 or more")
         if not self.memory_limit > 0:
             raise ValueError(f"planner.memory_limit is {self.memory_limit}: give a number of GiB above 0")
         if self.features not in FEATURES:
@@ -141,7 +151,6 @@ class PlannerOptions:
             "reuse",
             "switch_window",
             "switch_rounds",
-            "switch_drawn",
         )
         for name in counts:
             if getattr(self, name) < 1:
@@ -153,6 +162,31 @@ class PlannerOptions:
                 )
         if self.max_transitions is not None and self.max_transitions < 0:
             raise ValueError(f"planner.max_transitions is {self.max_transitions}: give 0 or more")
+
+
+# What the paper's recipe fixes; of each option only this value or the default may be given with it.
+PAPER = {
+    "learner": "stumps",
+    "switch_learner": "stumps",
+    "features": "pixels",
+    "shrinkage": 1.0,
+    "switch_shrinkage": 1.0,
+    "switch_weight": 0.0,
+    "switch_drawn": 0,
+    "early_stopping": False,
+    "recovery": False,
+}
+
+
+def _take_from_paper(options: PlannerOptions) -> None:
+    defaults = {field.name: field.default for field in fields(PlannerOptions)}
+    for name, value in PAPER.items():
+        if getattr(options, name) not in (value, defaults[name]):
+            raise ValueError(
+                f"planner.{name} is {getattr(options, name)!r}, and planner.recipe=paper has {value!r}: give "
+                "one of the two"
+            )
+        object.__setattr__(options, name, value)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """What a training shows: pictures in TensorBoard and as PNG, and what left-out demonstrations said."""
 
-from dataclasses import asdict
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -9,9 +8,8 @@ from torch.utils.tensorboard import SummaryWriter
 from dpmacro import figures
 from dpmacro.annotation.pictures import chosen_pixels, mean_images
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.discovery.dpboost import DPBoostResult
+from dpmacro.discovery.result import DPBoostResult
 from dpmacro.policy.policy import MacroPolicy
-from dpmacro.switching.functions import SwitchFunctions
 
 __all__ = ["TrainingPictures"]
 
@@ -34,11 +32,10 @@ class TrainingPictures:
         self,
         demonstrations: Demonstrations,
         policy: MacroPolicy,
-        discovery: DPBoostResult,
-        switches: SwitchFunctions,
+        found: DPBoostResult,
     ) -> None:
         """All that a finished training has to show."""
-        labels, sure = discovery.labels.numpy(), discovery.confidence.numpy()
+        labels, sure = found.labels.numpy(), found.confidence.numpy()
         first = slice(0, int(demonstrations.lengths[0]))
         truth, names = demonstrations.truth, (demonstrations.truth_name, demonstrations.truth_classes)
         timeline = figures.timeline(
@@ -46,42 +43,43 @@ class TrainingPictures:
             labels[first],
             demonstrations.actions[first],
             None if truth is None else truth[first],
-            f"Demonstration 0: {discovery.macros} macro-actions",
+            f"Demonstration 0: {found.macros} macro-actions",
             demonstrations.action_names,
             *names,
             sure[first],
         )
         self.add("timeline", timeline)
-        self.add("objective", figures.curves(_loss_panels(discovery), "Objective per frame"))
+        self.add("objective", figures.curves(_loss_panels(found), "Objective per frame"))
         title = "All demonstrations"
         every = figures.timelines(labels, demonstrations.lengths, truth, title, *names, sure)
         self.add("segmentation", every)
         self.add("transitions", figures.transition_graph(labels, demonstrations.lengths))
         weights = chosen_pixels(policy)
         if weights is not None:
-            means = mean_images(demonstrations.images, labels, discovery.macros)
+            means = mean_images(demonstrations.images, labels, found.macros)
             self.add("pixels", figures.heat_maps(means, weights, title="Pixels that stumps look at"))
-        self._search(discovery)
-        for (source, target), share in zip(switches.pairs, switches.detected.tolist(), strict=True):
-            self._writer.add_scalar(f"switch/detected_{source}_to_{target}", share)
+        self._candidates(found)
+        switches = found.switches
+        for (source, target), share in zip(switches.pairs, switches.recognised.tolist(), strict=True):
+            self._writer.add_scalar(f"switch/recognised_{source}_to_{target}", share)
 
-    def _search(self, discovery: DPBoostResult) -> None:
-        """The elbow, and the verdict on every rival."""
-        search = discovery.search
-        if search is None:
+    def _candidates(self, found: DPBoostResult) -> None:
+        """The cost by bound of the final segmentation, and the scores of every candidate."""
+        if found.final is not None:
+            cost, used = found.final.cost_by_bound.numpy(), found.final.max_transitions
+            self.add("elbow", figures.elbow(cost, used, "Left-out data"))
+        if found.discovery is None:
             return
-        elbow = figures.elbow(search.cost_by_bound.numpy(), search.max_transitions, "Left-out data")
-        self.add("elbow", elbow)
-        for rival, verdict in enumerate(search.verdicts):
-            for name, value in asdict(verdict).items():
-                self._writer.add_scalar(f"selection/{name}", value, rival)
+        for place, scores in enumerate(found.discovery.scores):
+            for name, value in scores.scalars().items():
+                self._writer.add_scalar(f"selection/{name}", value, place)
 
 
-def _loss_panels(discovery: DPBoostResult) -> dict[str, dict[str, list[float]]]:
-    """The objective of the exact fit, and of the best restarts."""
-    panels = {"exact fit": {"exact fit": discovery.loss.tolist()}}
-    if discovery.search is not None:
-        losses = discovery.search.candidates.loss
+def _loss_panels(found: DPBoostResult) -> dict[str, dict[str, list[float]]]:
+    """The objective of the final fit, and of the best restarts."""
+    panels = {"final fit": {"final fit": found.loss.tolist()}}
+    if found.discovery is not None:
+        losses = found.discovery.alternated.loss
         best = losses[-1].argsort()[:SHOWN].tolist()
         panels["discovery"] = {f"restart {k}": losses[:, k].tolist() for k in best}
     return panels

@@ -4,8 +4,7 @@ Demonstrations become sorted levels once; DPBoost (with one macro-action it is t
 switch functions are fitted on them; a policy, its segmentation, pictures and TensorBoard events are saved.
 """
 
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +15,23 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from dpmacro import figures
-from dpmacro.boosting.crossfit import FOLDS
-from dpmacro.boosting.learners.base import WeakLearner
+from dpmacro.boosting.crossfit import CLASSIFIER_FOLDS
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
-from dpmacro.discovery.dpboost import DPBoost, DPBoostResult
-from dpmacro.discovery.joint import change_log_odds
+from dpmacro.discovery.dpboost import DPBoost
 from dpmacro.discovery.model_order import Choice, choose
-from dpmacro.features.base import FeatureSet, make_features
-from dpmacro.features.columns import DRAWN, Demand, Plan, prepare
+from dpmacro.discovery.result import DPBoostResult
+from dpmacro.discovery.settings import paper_switches
+from dpmacro.features.base import Encoder
+from dpmacro.features.columns import prepare
+from dpmacro.features.kinds import make_features
 from dpmacro.features.levels import SortedLevels
+from dpmacro.features.memory import DRAWN, Demand, Plan
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.policy.recovery import MAX_ACTIONS, Stretches
-from dpmacro.switching.alignment import realigned
-from dpmacro.switching.functions import SwitchFunctions, starting_macro
-from dpmacro.switching.training import FOLDS as SWITCH_FOLDS
-from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.switching.training import SWITCH_FOLDS, SwitchSettings
 from dpmacro.training.learners import WeakLearners, rounds_of, shrinkage_of
 from dpmacro.training.monitor import Monitor
 from dpmacro.training.options import PlannerOptions, TrainOptions
@@ -51,8 +49,7 @@ class TrainingResult:
     """What a run leaves behind."""
 
     policy: MacroPolicy
-    discovery: DPBoostResult  # its labels with changes moved to where switch functions fire
-    switches: SwitchFunctions
+    found: DPBoostResult  # the segmentation and what was fitted to it
     plan: Plan  # how the feature columns were held
     pretrained: Path  # folder to give to eval.py
     choice: Choice | None  # of the number of macro-actions, where it was left open
@@ -110,97 +107,97 @@ class Trainer:
             choice = self._choose(data, writer) if len(self._settings) > 1 else None
             macros, bound = self._settings[0] if choice is None else choice.setting
             monitor = Monitor(writer, self.demonstrations, macros)
-            dpboost, known = self._dpboost(macros, bound), None if choice is None else choice.search
-            given = data, self.actions, self.lengths
-            if start is not None and macros > 1:
-                known = dpboost.adopt(*given, start, monitor.on_round, self._groups)
-            discovery = dpboost.fit(*given, monitor.on_round, self._groups, known)
-            mirror = self._mirror and discovery.macros > 1
-            learner = self._learners.for_switches(data, features, quantiser, mirror)
-            settings = self._switch_settings
-            fit = partial(self._fit_switches, learner, monitor)
-            labels = realigned(partial(fit, replace(settings, focused=False)), discovery.labels, self.lengths)
-            discovery, switches = replace(discovery, labels=labels), fit(settings, labels)
+            found = self._fit(features, quantiser, data, macros, bound, choice, start, monitor)
             monitor.close()
-            policy = self._policy(features, quantiser, discovery, switches)
-            pretrained = self._save(policy, discovery)
-            pictures = TrainingPictures(writer, self.folder.figures)
-            pictures.show(self.demonstrations, policy, discovery, switches)
-        return TrainingResult(policy, discovery, switches, self.plan, pretrained, choice)
+            policy = self._policy(features, quantiser, found)
+            pretrained = self._save(policy, found)
+            TrainingPictures(writer, self.folder.figures).show(self.demonstrations, policy, found)
+        return TrainingResult(policy, found, self.plan, pretrained, choice)
 
-    def _save(self, policy: MacroPolicy, discovery: DPBoostResult) -> Path:
+    def _fit(
+        self,
+        features: Encoder,
+        quantiser: Quantiser,
+        data: SortedLevels,
+        macros: int,
+        bound: int,
+        choice: Choice | None,
+        start: Int64[Tensor, " frames"] | None,
+        monitor: Monitor,
+    ) -> DPBoostResult:
+        """Search, unless a segmentation is known, then fit classifiers and switch functions to it."""
+        planner, dpboost = self.options.planner, self._dpboost(macros, bound)
+        given = data, self.actions, self.lengths
+        shared = {"groups": self._groups, "on_round": monitor.on_round}
+        discovery = None if choice is None else choice.discovery
+        if discovery is None:
+            discovery = dpboost.discover_levels(*given, known=start, **shared)
+        mirror = self._mirror and macros > 1
+        return dpboost.fit_levels(
+            *given,
+            learner=self._learners.for_classifiers(data),
+            switch_learner=self._learners.for_switches(data, features, quantiser, mirror),
+            shrinkage=shrinkage_of(planner, planner.learner, planner.shrinkage),
+            switches=self._switch_settings,
+            discovery=discovery,
+            **shared,
+        )
+
+    def _save(self, policy: MacroPolicy, found: DPBoostResult) -> Path:
         """Save the policy and the segmentation; returns its folder."""
         options = plain_options(self.options)
-        return self.folder.checkpoint(len(discovery.loss), policy, options, discovery.labels, self.lengths)
+        return self.folder.checkpoint(len(found.loss), policy, options, found.labels, self.lengths)
 
     @property
     def _switch_settings(self) -> SwitchSettings:
         planner = self.options.planner
         kind = planner.switch_learner
+        rounds = rounds_of(planner, kind, planner.switch_rounds)
+        if planner.recipe == "paper":
+            return paper_switches(rounds, planner.switch_window)
         return SwitchSettings(
-            rounds=rounds_of(planner, kind, planner.switch_rounds),
+            rounds=rounds,
             window=planner.switch_window,
             shrinkage=shrinkage_of(planner, kind, planner.switch_shrinkage),
             early_stopping=planner.early_stopping,
         )
 
-    def _fit_switches(
-        self,
-        learner: WeakLearner,
-        monitor: Monitor,
-        settings: SwitchSettings,
-        labels: Int64[Tensor, " frames"],
-    ) -> SwitchFunctions:
-        return fit_switches(
-            learner,
-            labels,
-            self.lengths,
-            torch.Generator().manual_seed(self.options.seed),
-            settings,
-            groups=self._groups,
-            actions=self.actions,
-            on_round=monitor.on_round,
-        )
-
     def _dpboost(self, macros: int, max_transitions: int) -> DPBoost:
         planner = self.options.planner
         return DPBoost(
-            macros,
-            max_transitions,
-            rounds_of(planner, planner.learner, planner.rounds),
-            self._learners.for_classifiers,
-            restarts=planner.restarts,
-            seed=self.options.seed,
-            device=self.options.device,
+            macros=macros,
+            max_transitions=max_transitions,
+            rounds=rounds_of(planner, planner.learner, planner.rounds),
             shrinkage=planner.shrinkage,
-            fit_shrinkage=shrinkage_of(planner, planner.learner, planner.shrinkage),
+            restarts=planner.restarts,
             switch_weight=planner.switch_weight,
             early_stopping=planner.early_stopping,
+            recipe=planner.recipe,
+            seed=self.options.seed,
+            device=self.options.device,
         )
 
     def _choose(self, data: SortedLevels, writer: SummaryWriter) -> Choice:
         """Search with every setting, one macro-action aside, and choose by data that was left out."""
-        searches = []
+        discoveries = []
         for macros, bound in self._settings[1:]:
             monitor = Monitor(writer, self.demonstrations, macros, f"Q{macros}_S{bound}")
-            searches.append(
-                self._dpboost(macros, bound).search(
-                    data, self.actions, self.lengths, monitor.on_round, self._groups
-                )
-            )
+            shared = {"groups": self._groups, "on_round": monitor.on_round}
+            dpboost = self._dpboost(macros, bound)
+            discoveries.append(dpboost.discover_levels(data, self.actions, self.lengths, **shared))
             monitor.close()
-        choice = choose(searches)
+        choice = choose([one for one in discoveries if one is not None])
         chart = figures.selection_chart(choice.points, choice.place, "How many macro-actions?")
         TrainingPictures(writer, self.folder.figures).add("selection", chart)
         return choice
 
-    def _plan(self) -> tuple[FeatureSet, Plan]:
+    def _plan(self) -> tuple[Encoder, Plan]:
         """The feature set, and how its columns are held."""
         planner = self.options.planner
         n_frames, height, width = self.demonstrations.images.shape[:3]
         features = make_features(planner.features, height, width, planner.rectangles, self._generator)
         most = max(macros for macros, _ in self._settings)
-        tried = max(planner.restarts, (FINALISTS + LEADERS) * FOLDS) if most > 1 else 1
+        tried = max(planner.restarts, (FINALISTS + LEADERS) * CLASSIFIER_FOLDS) if most > 1 else 1
         tables = TABLES * 4 * tried * most * (int(self.actions.max()) + 1)
         image_bytes, mirror = self.demonstrations.images[0].size, self._mirror and most > 1
         stumps, networks = planner.switch_learner == "stumps", planner.switch_learner == "convnet"
@@ -215,7 +212,7 @@ class Trainer:
         )
         return features, Plan.fitting(demand, planner.memory_limit)
 
-    def _prepare(self) -> tuple[FeatureSet, Quantiser, SortedLevels]:
+    def _prepare(self) -> tuple[Encoder, Quantiser, SortedLevels]:
         """Features of every frame, quantised and, where memory allows, sorted."""
         with tqdm(desc="Features", total=self.plan.columns, unit="column") as bar:
             parts = self._images, self.lengths, self._features, self.plan, self._generator
@@ -230,38 +227,33 @@ class Trainer:
     def _mirror(self) -> bool:
         """Whether switch functions learn from mirror images, too: in a symmetric world only."""
         given = self.options.dataset.symmetric
+        if self.options.planner.recipe == "paper":
+            return False
         return self.demonstrations.symmetric if given is None else given
 
-    def _policy(
-        self,
-        features: FeatureSet,
-        quantiser: Quantiser,
-        discovery: DPBoostResult,
-        switches: SwitchFunctions,
-    ) -> MacroPolicy:
-        demonstrations = self.demonstrations
+    def _policy(self, features: Encoder, quantiser: Quantiser, found: DPBoostResult) -> MacroPolicy:
+        demonstrations, planner = self.demonstrations, self.options.planner
         height, width = demonstrations.images.shape[1:3]
+        odds = [] if found.terms is None else found.terms.log_odds.tolist()
         config = PolicyConfig(
-            type=self.options.planner.type,
-            macros=discovery.macros,
-            first_macro=starting_macro(discovery.labels, self.lengths),
+            type=planner.type,
+            macros=found.macros,
+            starts=found.switches.starts,
             action_names=demonstrations.action_names,
             image_shape=(height, width),
             stored_shape=demonstrations.stored_shape,
-            features=self.options.planner.features,
-            switches=tuple(switches.pairs),
-            thresholds=tuple(switches.thresholds.tolist()),
-            cues=switches.cues,
-            max_transitions=0 if discovery.search is None else discovery.search.kept_transitions,
-            switch_weight=discovery.switch_weight,
-            change_log_odds=tuple(
-                tuple(row)
-                for row in change_log_odds(discovery.labels, self.lengths, discovery.macros).tolist()
-            ),
+            features=planner.features,
+            switches=found.switches.pairs,
+            thresholds=tuple(found.switches.thresholds.tolist()),
+            cues=found.switches.cues,
+            recovery=planner.recovery,
+            max_transitions=found.max_transitions,
+            switch_weight=found.switch_weight,
+            change_log_odds=tuple(tuple(row) for row in odds),
             world=demonstrations.world,
         )
-        stretches = Stretches.of(discovery.labels, self.actions, self.lengths)
-        learned = discovery.classifiers, switches.classifier
+        stretches = Stretches.of(found.labels, self.actions, self.lengths)
+        learned = found.classifiers, found.switches.classifier
         return MacroPolicy.compact(config, features, quantiser, *learned, stretches)
 
 

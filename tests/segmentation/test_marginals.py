@@ -22,7 +22,7 @@ def problem(lengths, n_macros, seed, changes):
 
 
 def brute_force(costs, bound, changes, reach):
-    """V_n(q) of one trajectory, by the cost of every labelling."""
+    """V_n(q) of one trajectory, by the cost of every labelling with one transition at most around frame n."""
     n_frames, n_macros = costs.shape
     least = torch.full((n_frames, n_macros), torch.inf, dtype=torch.float64)
     for path in itertools.product(range(n_macros), repeat=n_frames):
@@ -32,6 +32,11 @@ def brute_force(costs, bound, changes, reach):
         own = torch.tensor([costs[n, q] for n, q in enumerate(path)])
         extra = 0.0 if changes is None else sum(float(changes[n, path[n - 1], path[n]]) for n in moves)
         for n, q in enumerate(path):
+            first, last = n - reach - 1, n + reach + 1  # the frames beside those left out
+            sides = (first >= 0) + (last < n_frames)
+            within = sum(first < move <= last for move in moves)
+            if reach and sides and within > sides - 1:
+                continue
             left_out = own[max(0, n - reach) : n + reach + 1].sum()
             least[n, q] = min(least[n, q], own.sum() - left_out + extra)
     return least
@@ -69,6 +74,16 @@ def test_a_margin_is_the_price_of_another_label(n_frames, n_macros, bound, seed,
         elsewhere[n, labels[n]] = 1e3
         price = float(segment(elsewhere, lengths, bound, changes).cost.sum()) - best
         assert float(found[n]) == pytest.approx(price, abs=1e-9)
+
+
+@pytest.mark.parametrize("bound", [1, 2, 3, 5])
+def test_slack_in_the_bound_hides_no_excursion(bound):
+    """Labels of frames from the frames around them, where the truth needs one transition of `bound`."""
+    truth = torch.arange(60) // 30
+    costs = torch.nn.functional.one_hot(1 - truth, 2).double() + 0.1
+    found = costs_without(costs, torch.tensor([60]), bound, 5).argmin(1)
+    clear = (torch.arange(60) - 29.5).abs() > 6  # nearer, the change lies among the frames left out
+    assert torch.equal(found[clear], truth[clear])
 
 
 @pytest.mark.parametrize("device", DEVICES)

@@ -8,7 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.segmentation.recursion import cost_of, segment, transition_counts
+from dpmacro.segmentation.recursion import cost_of, segment
+from dpmacro.segmentation.segments import transition_counts
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 

@@ -69,6 +69,10 @@ class WeakLearner(Protocol[Hypotheses, Memory]):
         """Where the frames are."""
         ...
 
+    def frames(self, part: slice) -> Frames:
+        """Some of the training frames, as its strong classifiers look at them."""
+        ...
+
     def fit(
         self,
         weights: Float[Tensor, "frames problems classes"],

@@ -167,6 +167,11 @@ class ConvNetLearner:
         """Where the images are."""
         return self.images.device
 
+    def frames(self, part: slice) -> Frames:
+        """Some of the training frames, by their images alone."""
+        images, previous = self.images[part], self.images[self.previous[part]]
+        return Frames(images.new_empty(0, len(images)), images, previous)
+
     def fit(
         self,
         weights: Float[Tensor, "frames problems classes"],

@@ -127,6 +127,10 @@ class StumpLearner:
         """Where the columns are."""
         return self.data.levels.device
 
+    def frames(self, part: slice) -> Frames:
+        """Some of the training frames, by their levels alone."""
+        return Frames(self.data.levels[:, part])
+
     def fit(
         self,
         weights: Float[Tensor, "frames problems classes"],

@@ -1,0 +1,58 @@
+"""Macro-labels as segments: stretches of constant label, the transitions between them, the first of each."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+__all__ = ["Segment", "macro_segments", "starting_macros", "transition_counts"]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of constant macro-label and what follows it, in frames of the concatenated data."""
+
+    trajectory: int
+    macro: int
+    start: int
+    stop: int
+    following: int | None  # the next macro-action; None at the end of the trajectory
+    following_stop: int  # end of the next segment; `stop` where there is none
+
+
+def macro_segments(
+    labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]
+) -> list[Segment]:
+    """The segments of constant macro-label, in order, each with its successor in the trajectory."""
+    segments = []
+    first = 0
+    for trajectory, part in enumerate(labels.cpu().split(lengths.tolist())):
+        macros, counts = part.unique_consecutive(return_counts=True)
+        bounds = (counts.cumsum(0) + first).tolist()
+        starts = [first, *bounds[:-1]]
+        for k, macro in enumerate(macros.tolist()):
+            follows = k + 1 < len(bounds)
+            following = int(macros[k + 1]) if follows else None
+            segments.append(Segment(trajectory, macro, starts[k], bounds[k], following, bounds[k + follows]))
+        first = bounds[-1]
+    return segments
+
+
+def starting_macros(
+    labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]
+) -> Int64[Tensor, " trajectories"]:
+    """The macro-action that every trajectory starts with."""
+    return labels.cpu()[(lengths.cumsum(0) - lengths).cpu()]
+
+
+def transition_counts(
+    labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"]
+) -> Int64[Tensor, " trajectories"]:
+    """The number of frames whose macro-label differs from the one before, for every trajectory."""
+    changed = torch.zeros_like(labels)
+    changed[1:] = (labels[1:] != labels[:-1]).long()
+    ends = lengths.to(labels.device).cumsum(0)
+    changed[ends[:-1]] = 0
+    total = torch.nn.functional.pad(changed.cumsum(0), (1, 0))
+    return total[ends] - total[torch.nn.functional.pad(ends[:-1], (1, 0))]
