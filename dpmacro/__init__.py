@@ -1,0 +1,50 @@
+"""dpmacro: macro-actions found in demonstrations, and policies that run them.
+
+The names below are the public face; everything else is reached by its module. They are imported when they
+are first asked for, so that `import dpmacro` costs next to nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dpmacro.annotation.annotate import Annotation, annotate
+    from dpmacro.data.demonstrations import Demonstrations
+    from dpmacro.discovery.dpboost import DPBoost
+    from dpmacro.discovery.result import DPBoostResult
+    from dpmacro.policy.policy import MacroPolicy
+    from dpmacro.segmentation.recursion import Segmentation, segment
+
+__all__ = [
+    "Annotation",
+    "DPBoost",
+    "DPBoostResult",
+    "Demonstrations",
+    "MacroPolicy",
+    "Segmentation",
+    "annotate",
+    "segment",
+]
+
+_MODULE_OF = {
+    "Annotation": "dpmacro.annotation.annotate",
+    "DPBoost": "dpmacro.discovery.dpboost",
+    "DPBoostResult": "dpmacro.discovery.result",
+    "Demonstrations": "dpmacro.data.demonstrations",
+    "MacroPolicy": "dpmacro.policy.policy",
+    "Segmentation": "dpmacro.segmentation.recursion",
+    "annotate": "dpmacro.annotation.annotate",
+    "segment": "dpmacro.segmentation.recursion",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'dpmacro' has no attribute {name!r}: it offers {', '.join(__all__)}")
+    found = getattr(import_module(_MODULE_OF[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from dpmacro.segmentation.recursion import blocks_of, check, frames_inside, pad, recursion
+from dpmacro.segmentation.recursion import blocks_of, checked, frames_inside, pad, recursion
 
 __all__ = ["costs_without", "margins"]
 
@@ -47,14 +47,14 @@ def costs_without(
 
     Args and errors are those of `segment`. With a `reach` of 1 or more the frames left out hold one
     transition at most, which costs nothing but counts: frame n has the label of the frames before them or of
-    those after them, at the ends of a trajectory that of the only side there is. (An excursion to another label and back
-    within them would be free wherever the bound has slack, and every label of n as good as any other.)
+    those after them, at the ends of a trajectory that of the only side there is. (An excursion to another
+    label and back within them would be free wherever the bound has slack, and every label of n as good as any
+    other.)
     `reach` of 1 or more goes without transition costs (ValueError).
     """
-    check(costs, lengths, max_transitions, transition_costs)
+    costs, lengths, transition_costs = checked(costs, lengths, max_transitions, transition_costs)
     if reach < 0 or (reach > 0 and transition_costs is not None):
         raise ValueError(f"reach is {reach}: give 0 or more, and 0 with transition costs")
-    lengths = lengths.cpu()
     parts = []
     for frames, part in blocks_of(costs, lengths):
         changes = None if transition_costs is None else transition_costs[frames].double()

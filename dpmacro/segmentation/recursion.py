@@ -20,10 +20,12 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
+from dpmacro.utils.checks import as_count, as_tensor, as_whole_vector
+
 __all__ = [
     "Segmentation",
     "blocks_of",
-    "check",
+    "checked",
     "cost_of",
     "frames_inside",
     "pad",
@@ -31,6 +33,7 @@ __all__ = [
     "segment",
 ]
 
+LARGEST = 1e30  # a cost that is allowed: any float holds it, and sums of many stay finite
 BLOCK = 2**17  # costs of so many frames and macro-actions stay in a core's cache
 
 
@@ -64,11 +67,10 @@ def segment(
     Of equally cheap labellings one with the fewest transitions comes back, and always the same one.
     Works on the device of `costs`, in float64 since prefix sums cancel.
 
-    Raises ValueError for costs that are not finite, an empty trajectory, lengths that do not add up
-    and a negative bound.
+    Raises ValueError naming the argument: costs that are not finite, a trajectory without frames, lengths
+    that do not add up, a bound that is negative or no whole number.
     """
-    check(costs, lengths, max_transitions, transition_costs)
-    lengths = lengths.cpu()
+    costs, lengths, transition_costs = checked(costs, lengths, max_transitions, transition_costs)
     blocks = []
     for frames, part in blocks_of(costs, lengths):
         changes = None if transition_costs is None else transition_costs[frames].double()
@@ -207,29 +209,30 @@ def _at(values: Tensor, time: Tensor) -> Tensor:
     return values.gather(3, place).squeeze(3)
 
 
-def check(costs: Tensor, lengths: Tensor, max_transitions: int, transition_costs: Tensor | None) -> None:
-    """Raises the errors that `segment` names."""
-    if max_transitions < 0:
-        raise ValueError(f"max_transitions is {max_transitions}: the bound on transitions must be 0 or more")
-    if costs.ndim != 2 or costs.shape[1] == 0:
-        raise ValueError(f"costs have shape {tuple(costs.shape)}: give [frames, macros], one macro at least")
-    if len(lengths) == 0:
-        raise ValueError("lengths are empty: give the number of frames of one trajectory at least")
-    if int(lengths.min()) < 1:
-        empty = int(lengths.argmin())
-        raise ValueError(f"trajectory {empty} has {int(lengths[empty])} frames: each needs one at least")
+def checked(
+    costs: Tensor, lengths: Tensor, max_transitions: int, transition_costs: Tensor | None
+) -> tuple[Float[Tensor, "frames macros"], Int64[Tensor, " trajectories"], Float[Tensor, "..."] | None]:
+    """The arguments of `segment` as tensors, lengths on the CPU; raises the errors that it names."""
+    as_count("max_transitions", max_transitions, 0)
+    costs = as_tensor("costs", costs, 2, "[frames, macros], one macro at least")
+    lengths = as_whole_vector("lengths", lengths, 1, "[trajectories], the frames of each").cpu()
     if int(lengths.sum()) != len(costs):
         raise ValueError(f"lengths add up to {int(lengths.sum())} frames but costs have {len(costs)}")
-    finite = costs.isfinite()
-    if not bool(finite.all()):
-        frame, macro = (~finite).nonzero()[0].tolist()
+    if not float(costs.abs().max()) <= LARGEST:  # nor where one is NaN
+        frame, macro = (~(costs.abs() <= LARGEST)).nonzero()[0].tolist()
         value = costs[frame, macro].item()
-        raise ValueError(f"the cost of frame {frame}, macro {macro} is {value}: costs must be finite")
+        raise ValueError(
+            f"the cost of frame {frame}, macro {macro} is {value}: costs must be finite, {LARGEST:g} at most"
+        )
     if transition_costs is None:
-        return
-    wanted = (*costs.shape, costs.shape[1])
-    if tuple(transition_costs.shape) != wanted:
-        raise ValueError(f"transition_costs have shape {tuple(transition_costs.shape)}: give {wanted}")
+        return costs, lengths, None
+    wanted = [*costs.shape, costs.shape[1]]
+    transition_costs = as_tensor("transition_costs", transition_costs, 3, f"{wanted}")
+    if list(transition_costs.shape) != wanted:
+        raise ValueError(f"transition_costs have shape {list(transition_costs.shape)}: give {wanted}")
     off_diagonal = ~torch.eye(costs.shape[1], dtype=torch.bool, device=costs.device)
-    if not bool(transition_costs[:, off_diagonal].isfinite().all()):
-        raise ValueError("transition_costs hold NaN or infinity off the diagonal: they must be finite")
+    if not bool((transition_costs[:, off_diagonal].abs() <= LARGEST).all()):
+        raise ValueError(
+            f"transition_costs hold NaN, infinity or more than {LARGEST:g} off the diagonal: they must be finite"
+        )
+    return costs, lengths, transition_costs

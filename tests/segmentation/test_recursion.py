@@ -132,11 +132,11 @@ def test_a_shift_of_all_costs_moves_the_cost_and_not_the_labels():
     [
         (torch.tensor([[0.0, float("nan")]]), [1], 1, "frame 0, macro 1 is nan"),
         (torch.tensor([[0.0], [float("inf")]]), [2], 1, "frame 1, macro 0 is inf"),
-        (torch.zeros(3, 2), [3, 0], 1, "trajectory 1 has 0 frames"),
+        (torch.zeros(3, 2), [3, 0], 1, r"lengths\[1\] is 0"),
         (torch.zeros(3, 2), [2, 2], 1, "add up to 4 frames but costs have 3"),
         (torch.zeros(3, 2), [3], -1, "max_transitions is -1"),
         (torch.zeros(3, 0), [3], 1, "one macro at least"),
-        (torch.zeros(0, 2), [], 1, "lengths are empty"),
+        (torch.zeros(0, 2), [], 1, "lengths have shape"),
     ],
 )
 def test_bad_input_is_named(costs, lengths, bound, message):
