@@ -56,7 +56,7 @@ def _policy(kind: str, images: Any) -> Any:
     import torch
 
     from dpmacro.boosting.learners.stumps import StumpClassifier
-    from dpmacro.features.base import make_features
+    from dpmacro.features.kinds import make_features
     from dpmacro.features.quantising import Quantiser
     from dpmacro.policy.config import PolicyConfig
     from dpmacro.policy.policy import MacroPolicy

@@ -24,8 +24,9 @@ from segmentation_sources import TOLERANCES, Source, check_recorded, sources
 from tqdm import tqdm
 
 from dpmacro.discovery.dpboost import DPBoost
-from dpmacro.features.base import make_features
-from dpmacro.features.columns import Plan, prepare
+from dpmacro.features.columns import prepare
+from dpmacro.features.kinds import make_features
+from dpmacro.features.memory import Plan
 from dpmacro.metrics import segmentation_scores
 from dpmacro.training.options import PlannerOptions
 from dpmacro.utils import cli

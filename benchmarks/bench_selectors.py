@@ -30,9 +30,10 @@ from dpmacro.data.synthetic import digits
 from dpmacro.discovery.candidates import MARGIN, Judged
 from dpmacro.discovery.dpboost import DPBoost
 from dpmacro.discovery.result import Search
-from dpmacro.features.base import make_features
-from dpmacro.features.columns import Plan, prepare
+from dpmacro.features.columns import prepare
+from dpmacro.features.kinds import make_features
 from dpmacro.features.levels import SortedLevels
+from dpmacro.features.memory import Plan
 from dpmacro.features.quantising import Quantiser
 from dpmacro.figures import save
 from dpmacro.metrics import segmentation_scores

@@ -7,7 +7,8 @@ import torch
 from matrices import SIZES, Matrix, planted
 
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.features.base import make_features, previous_images
+from dpmacro.features.base import previous_images
+from dpmacro.features.kinds import make_features
 from dpmacro.features.quantising import Quantiser
 
 __all__ = ["build", "recorded"]

@@ -20,8 +20,10 @@ from dpmacro.boosting.learners.convnet import ConvNetLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, class_targets
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.features.base import frames_before, make_features
-from dpmacro.features.columns import Plan, prepare
+from dpmacro.features.base import frames_before
+from dpmacro.features.columns import prepare
+from dpmacro.features.kinds import make_features
+from dpmacro.features.memory import Plan
 from dpmacro.switching.training import SwitchSettings, fit_switches
 from dpmacro.utils import cli
 

@@ -19,9 +19,10 @@ from torch import Tensor
 from dpmacro.boosting.learners.stumps import StumpLearner, column_losses
 from dpmacro.boosting.loop import Boosting, class_targets, exponentials_of
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.features.base import make_features
-from dpmacro.features.columns import Plan, prepare
+from dpmacro.features.columns import prepare
+from dpmacro.features.kinds import make_features
 from dpmacro.features.levels import SortedLevels
+from dpmacro.features.memory import Plan
 from dpmacro.utils import cli
 
 SHARES = (0.5, 0.9, 0.95, 0.99)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-__all__ = ["GIB", "DatasetError", "FrameBuffer", "Sight"]
+from dpmacro.features.memory import GIB
 
-GIB = 2**30
+__all__ = ["DatasetError", "FrameBuffer", "Sight"]
 
 
 class DatasetError(ValueError):

@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Int64, Num, UInt8
 from torch import Tensor
 
-__all__ = ["LEVELS", "Quantiser"]
+from dpmacro.features.levels import LEVELS
 
-LEVELS = 256
+__all__ = ["Quantiser"]
+
 CHUNK_COLUMNS = 256
 CHUNK_SEARCHES = 2**19  # values whose levels are searched together
 

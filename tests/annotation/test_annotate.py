@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from dpmacro.discovery.joint import change_log_odds
 from segmented import random_demonstrations, random_policy
 
 from dpmacro.annotation import annotate as annotation
@@ -16,10 +17,11 @@ from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.discovery.alternation import Alternated
 from dpmacro.discovery.candidates import Task, judge
 from dpmacro.discovery.dpboost import DPBoost
-from dpmacro.discovery.joint import change_log_odds
 from dpmacro.discovery.result import Search
-from dpmacro.features.base import make_features, previous_images
-from dpmacro.features.columns import Plan, prepare
+from dpmacro.features.base import previous_images
+from dpmacro.features.columns import prepare
+from dpmacro.features.kinds import make_features
+from dpmacro.features.memory import Plan
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.segmentation.recursion import transition_counts

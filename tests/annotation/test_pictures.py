@@ -9,7 +9,7 @@ from segmented import SHAPE, random_policy, some_summary
 
 from dpmacro.annotation.pictures import chosen_pixels, mean_images, picture_count, pictures
 from dpmacro.boosting.learners.convnet import ConvNetClassifier
-from dpmacro.features.base import FEATURES
+from dpmacro.features.kinds import FEATURES
 
 
 def network():

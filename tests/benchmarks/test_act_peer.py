@@ -13,7 +13,7 @@ from noise import ACTIONS, LENGTHS, random_episodes
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.lerobot.writer import DemonstrationWriter
-from dpmacro.features.base import Pixels
+from dpmacro.features.pixels import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.success import wilson_interval
 from dpmacro.policy.config import PolicyConfig

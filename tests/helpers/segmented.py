@@ -9,7 +9,7 @@ from dpmacro.annotation.annotate import Annotation
 from dpmacro.annotation.summary import Summary
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.features.base import make_features
+from dpmacro.features.kinds import make_features
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy

@@ -13,7 +13,8 @@ from safetensors.torch import load_file, save_file
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpClassifier
-from dpmacro.features.base import FEATURES, make_features, previous_images
+from dpmacro.features.base import previous_images
+from dpmacro.features.kinds import FEATURES, make_features
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.planner import MacroPlanner

@@ -13,7 +13,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dpmacro.boosting.learners.stumps import StumpClassifier
-from dpmacro.features.base import Pixels
+from dpmacro.features.pixels import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.success import wilson_interval
 from dpmacro.policy.config import PolicyConfig

@@ -7,7 +7,7 @@ from noise import ACTIONS
 
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.evaluation.rollouts import PlannerSource
-from dpmacro.features.base import make_features
+from dpmacro.features.kinds import make_features
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy

@@ -22,7 +22,7 @@ from dpmacro.data.images import Sight
 from dpmacro.data.lerobot.reader import WORLD_FILE
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
 from dpmacro.features.base import previous_images
-from dpmacro.features.columns import GIB, Plan
+from dpmacro.features.memory import GIB, Plan
 from dpmacro.metrics import segments
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.training import trainer as training
@@ -217,13 +217,13 @@ def test_changes_are_aligned_by_all_frames_and_made_by_those_after_their_cues(
 
 
 def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("dpmacro.features.columns.LIBRARIES", 0)
-    monkeypatch.setattr("dpmacro.features.columns.LEAST_COLUMNS", 20)
+    monkeypatch.setattr("dpmacro.features.memory.LIBRARIES", 0)
+    monkeypatch.setattr("dpmacro.features.memory.LEAST_COLUMNS", 20)
     frames, height, width, _ = Demonstrations.load(recorded).images.shape
     tables = TABLES * 4 * 2 * (FINALISTS + LEADERS) * FOLDS * 3  # 2 macro-actions, 3 actions
     limit = frames * (3 * height * width + tables + 150 + 4 * 100) / GIB
-    monkeypatch.setattr("dpmacro.features.columns.VALUES", 1000)
-    monkeypatch.setattr("dpmacro.features.columns.SAMPLED", 10)
+    monkeypatch.setattr("dpmacro.features.memory.VALUES", 1000)
+    monkeypatch.setattr("dpmacro.features.memory.SAMPLED", 10)
     options = [f"--planner.memory_limit={limit:.9f}", *SMALL]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
     assert re.search(r"columns +150 of 150, \d+ drawn at a time", capsys.readouterr().out)

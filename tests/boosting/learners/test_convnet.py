@@ -8,9 +8,10 @@ from dpmacro.boosting.learners.base import Frames, StrongClassifier, WeakLearner
 from dpmacro.boosting.learners.convnet import BOUND, ConvNetClassifier, ConvNetLearner, reduced
 from dpmacro.boosting.learners.kinds import classifier_from, classifier_tensors
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.boosting.loop import Boosting, class_targets
-from dpmacro.features.base import Pixels
+from dpmacro.boosting.loop import Boosting
+from dpmacro.boosting.losses import class_targets
 from dpmacro.features.levels import SortedLevels
+from dpmacro.features.pixels import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.switching.training import SwitchSettings, fit_switches
 

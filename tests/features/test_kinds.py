@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from dpmacro.features.base import (
-    FEATURES,
-    Pixels,
-    Rectangles,
-    features_from,
-    make_features,
-    previous_images,
-)
-from dpmacro.features.quantising import LEVELS, Quantiser
+from dpmacro.features.base import previous_images
+from dpmacro.features.kinds import FEATURES, features_from, make_features
+from dpmacro.features.levels import LEVELS
+from dpmacro.features.pixels import Pixels
+from dpmacro.features.quantising import Quantiser
+from dpmacro.features.rectangles import Rectangles
 
 
 @pytest.fixture
@@ -102,31 +99,6 @@ def test_no_column_at_all(images, kind):
     assert values.shape == (0, 70)
     assert quantiser.levels(values).shape == (0, 70)
     assert Quantiser.fit(values).cuts.shape == (0, LEVELS - 1)
-
-
-@pytest.mark.parametrize("dtype", [torch.int32, torch.float32])
-def test_quantiser_keeps_order_and_uses_all_levels(dtype):
-    values = (1000 * torch.randn(3, 5000, generator=torch.Generator().manual_seed(0))).to(dtype)
-    quantiser = Quantiser.fit(values)
-    levels = quantiser.levels(values).long()
-    assert quantiser.cuts.shape == (3, LEVELS - 1)
-    for column, level in zip(values, levels, strict=True):
-        order = column.argsort()
-        assert (level[order].diff() >= 0).all()
-        assert len(level.unique()) > LEVELS // 2
-    direct = (quantiser.cuts[:, None, :] <= values[:, :, None]).sum(2)
-    assert torch.equal(direct, levels)
-
-
-def test_quantiser_keeps_few_integers_apart():
-    values = torch.tensor([[0, 1, 2, 3, 100, 101]], dtype=torch.int32).repeat(1, 50)
-    assert len(Quantiser.fit(values).levels(values).unique()) == 6
-
-
-def test_quantiser_keeps_a_rare_extreme_apart():
-    values = torch.zeros(1, 10000, dtype=torch.int32)
-    values[0, :3] = torch.tensor([500, 700, 1000])
-    assert len(Quantiser.fit(values).levels(values).unique()) == 4
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,96 @@
+"""How feature columns are held in the memory there is.
+
+A level takes a byte a column and frame, its place in the sorted order four more. Where sorted columns do not
+fit, levels alone are held and boosting sorts as many random columns as fit, drawn anew every few rounds;
+where the levels of all columns do not fit either, random columns are left out. Switch functions take more
+where they learn from mirror images: the levels once more, and those of the mirror images.
+"""
+
+from dataclasses import dataclass
+
+__all__ = ["DRAWN", "GIB", "LEAST_COLUMNS", "LIBRARIES", "SAMPLED", "VALUES", "Demand", "Plan"]
+
+GIB = 2**30  # bytes
+LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
+VALUES = 2**26  # integers that are quantised at a time
+SAMPLED = 20_000  # frames that choose the cuts, evenly spaced, where there are more
+SORTED = 4  # bytes of a frame's place in a column's order
+DRAWN = SORTED + 1  # likewise where columns are sorted when drawn, from a copy of their levels
+LEAST_COLUMNS = 512  # as many as judging a segmentation searches
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What training asks of memory.
+
+    Attributes:
+        n_frames: of all demonstrations.
+        image_bytes: of one frame.
+        n_columns: of the feature set.
+        table_bytes: scores, losses and weights of one frame while boosting.
+        copies: of every frame's columns, like mirror images, that switch functions learn from as well.
+        switch_bytes: of one frame while they learn, boosting being over: scores, losses, weights, sorted
+            columns and copied images, those of the copies included.
+    """
+
+    n_frames: int
+    image_bytes: int
+    n_columns: int
+    table_bytes: int
+    copies: int = 0
+    switch_bytes: int = 0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How the feature columns are held.
+
+    Attributes:
+        columns: how many of the feature set are kept.
+        of: how many the feature set has.
+        drawn: how many of them a boosting round searches at most; 0 for all, held sorted.
+        gibibytes: estimate of the most memory that training takes.
+    """
+
+    columns: int
+    of: int
+    drawn: int
+    gibibytes: float
+
+    @classmethod
+    def fitting(cls, demand: Demand, limit: float) -> "Plan":
+        """The richest plan within `limit` GiB: first all columns sorted, then all columns, then most of them.
+
+        Raises ValueError with the least limit where there is no room for `LEAST_COLUMNS` columns.
+        """
+        n_frames, n_columns = demand.n_frames, demand.n_columns
+        fixed = LIBRARIES + n_frames * demand.image_bytes
+        sampled = 2 * min(n_frames, SAMPLED) * demand.image_bytes
+        quantising = sampled + 4 * min(VALUES, n_columns * n_frames)
+        boosting = n_frames * demand.table_bytes
+        switching = n_frames * demand.switch_bytes
+        copied = 1 + demand.copies if demand.copies else 0  # the frames' own levels are copied, too
+
+        def most(columns: int, drawn: int) -> float:
+            """Of the plan; all columns are sorted where `drawn` is 0."""
+            order = 0 if drawn else SORTED * columns
+            then = boosting + DRAWN * drawn * n_frames, switching + copied * columns * n_frames
+            return (fixed + columns * n_frames + max(quantising, order * n_frames + max(then))) / GIB
+
+        if (whole := most(n_columns, 0)) <= limit:
+            return cls(n_columns, n_columns, 0, whole)
+        least = min(LEAST_COLUMNS, n_columns)
+        if most(least, least) > limit:
+            raise ValueError(
+                f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at "
+                "least: give that, shrink images by --dataset.image_size, or take fewer --dataset.episodes"
+            )
+        room = limit * GIB - fixed
+        kept = (
+            int((room - max(quantising, boosting + DRAWN * least * n_frames)) / n_frames),
+            int((room - switching) / ((1 + copied) * n_frames)),
+        )
+        columns = min(max(min(kept), least), n_columns)
+        drawn = int((room - boosting - columns * n_frames) / (DRAWN * n_frames))
+        drawn = min(max(drawn, least), columns)
+        return cls(columns, n_columns, drawn, most(columns, drawn))
