@@ -233,6 +233,6 @@ def checked(
     off_diagonal = ~torch.eye(costs.shape[1], dtype=torch.bool, device=costs.device)
     if not bool((transition_costs[:, off_diagonal].abs() <= LARGEST).all()):
         raise ValueError(
-            f"transition_costs hold NaN, infinity or more than {LARGEST:g} off the diagonal: they must be finite"
+            f"transition_costs hold NaN, infinity or more than {LARGEST:g} off the diagonal: give less"
         )
     return costs, lengths, transition_costs

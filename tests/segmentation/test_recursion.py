@@ -136,7 +136,7 @@ def test_a_shift_of_all_costs_moves_the_cost_and_not_the_labels():
         (torch.zeros(3, 2), [2, 2], 1, "add up to 4 frames but costs have 3"),
         (torch.zeros(3, 2), [3], -1, "max_transitions is -1"),
         (torch.zeros(3, 0), [3], 1, "one macro at least"),
-        (torch.zeros(0, 2), [], 1, "lengths have shape"),
+        (torch.zeros(0, 2), [], 1, "costs have shape"),
     ],
 )
 def test_bad_input_is_named(costs, lengths, bound, message):
