@@ -9,7 +9,7 @@ PEERS := $(VENV)/.bench-$(VERSION)
 BIN := $(VENV)/bin
 WORKERS ?= 2
 
-.PHONY: help venv test lint types pytest demo clean-demo bench bench-segmentation bench-selectors table
+.PHONY: help venv test lint types pytest test-versions test-benchmarks demo clean-demo bench bench-segmentation bench-selectors table
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -28,7 +28,7 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@
 
-test: lint types pytest ## lint, types and the whole test suite
+test: lint types pytest ## lint, types and all tests but those of make test-benchmarks
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
@@ -37,8 +37,22 @@ lint: $(INSTALLED)
 types: $(INSTALLED)
 	$(BIN)/mypy
 
+# A module's tests stay in one process, since they share what takes long to build; tests/conftest.py orders the modules.
+TESTS := $(BIN)/python -m pytest -n $(WORKERS) --dist loadscope --no-loadscope-reorder
+SHAPES := --jaxtyping-packages=dpmacro,beartype.beartype
+
 pytest: $(INSTALLED)
-	$(BIN)/python -m pytest --jaxtyping-packages=dpmacro,beartype.beartype
+	$(TESTS) $(SHAPES) -m 'not benchmark'
+
+# What another LeRobot or Python may break: datasets read and written, options, scripts, worlds, a training.
+VERSIONS := tests/data tests/scripts tests/worlds tests/utils/test_cli.py tests/test_layout.py tests/training/test_train.py
+ONE_TRAINING := 'not test_train.py or mistake or spoiled or folder_holds or tensorboard or in_a_run or process_itself'
+
+test-versions: $(INSTALLED) ## the tests that depend on the versions of Python and LeRobot
+	$(TESTS) -m 'not benchmark' -k $(ONE_TRAINING) $(VERSIONS)
+
+test-benchmarks: $(PEERS) ## whole benchmarks in small, with the other libraries (make test leaves these out)
+	$(TESTS) $(SHAPES) -m benchmark
 
 # The demo: every stage is a file, so that a second call reuses what exists.
 DEMO := outputs/demo

@@ -50,12 +50,13 @@ def run(tmp_path_factory):
         "--threads=1",
         "--quick=true",
         f"--output={output}",
-        PYTHONPATH=str(folder),
+        PYTHONPATH=os.pathsep.join([str(folder), str(ROOT)]),
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines(), json.loads(output.read_text())
 
 
+@pytest.mark.benchmark
 def test_rows_hold_what_was_measured(run):
     lines, rows = run
     assert {row["benchmark"] for row in rows} == {"round", "memory"}
@@ -68,6 +69,7 @@ def test_rows_hold_what_was_measured(run):
     assert all(row["unit"] == "s" and 0 < row["ours"] < 10 for row in rounds)
 
 
+@pytest.mark.benchmark
 def test_the_header_says_where_the_numbers_come_from(run):
     lines, _ = run
     assert [line.split()[0] for line in lines[:4]] == ["commit", "machine", "versions", "command"]
@@ -75,6 +77,7 @@ def test_the_header_says_where_the_numbers_come_from(run):
     assert "benchmarks/bench.py" in lines[3] and "--matrices=[random]" in lines[3]
 
 
+@pytest.mark.benchmark
 def test_a_peer_that_is_not_installed_is_skipped_with_the_remedy(run):
     lines, rows = run
     assert {row["peer_name"] for row in rows} == {"ours, exact"}
@@ -121,6 +124,7 @@ def test_demonstrations_hold_out_their_last_trajectories(modules, recorded):
     assert (shorter.held_actions == matrix.held_actions).all()
 
 
+@pytest.mark.benchmark
 @settings(max_examples=30, deadline=None)
 @given(
     shape=st.tuples(st.integers(1, 3), st.integers(1, 12), st.integers(1, 4)),

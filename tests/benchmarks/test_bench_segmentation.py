@@ -53,6 +53,7 @@ def scores(source, labels):
     return segmentation_scores(labels, source.truth, source.lengths, 3)
 
 
+@pytest.mark.benchmark
 @pytest.mark.parametrize(
     ("method", "kind"),
     [
@@ -72,6 +73,7 @@ def test_a_peer_finds_what_it_is_made_for(method, kind):
     assert found.setting
 
 
+@pytest.mark.benchmark
 def test_padding_has_no_say_in_a_hidden_markov_model():
     pytest.importorskip("dynamax")
     import jax
@@ -109,6 +111,7 @@ def test_chance_has_the_true_labels_in_order(method):
     assert (found == PEERS[method](source, 3, False).labels).all()
 
 
+@pytest.mark.benchmark
 def test_ours_runs_on_numbers_and_on_images():
     source = planted("means")
     assert scores(source, dpmacro(source, 0, True).labels).segments >= len(source.lengths)
@@ -165,6 +168,7 @@ def bench(*options, **environment):
     )
 
 
+@pytest.mark.benchmark
 def test_a_run_is_written_and_a_missing_peer_skipped(tmp_path):
     (tmp_path / "ruptures.py").write_text("raise ModuleNotFoundError('no', name='ruptures')")
     done = bench(
@@ -173,7 +177,7 @@ def test_a_run_is_written_and_a_missing_peer_skipped(tmp_path):
         "--seeds=[0, 1]",
         "--quick=true",
         f"--output={tmp_path}/made/rows.json",
-        PYTHONPATH=str(tmp_path),
+        PYTHONPATH=os.pathsep.join([str(tmp_path), str(ROOT)]),
     )
     assert done.returncode == 0, done.stderr
     assert "skipped KernelCPD: no module ruptures; pip install -e '.[bench]'" in done.stdout

@@ -31,15 +31,16 @@ def call(*options):
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.benchmark
 def test_every_learner_boosts_for_as_long_as_asked(five):
-    done = call(f"--dataset={five}", "--seconds=[0.05,0.2]", *FAST)
+    done = call(f"--dataset={five}", "--seconds=[0.1,0.4]", *FAST)
     assert done.returncode == 0, done.stderr
     _, _, *rows = done.stdout.splitlines()
     assert [row.split("  ")[0] for row in rows[:4]] == ["stumps", "convnets"] * 2
-    for row, least in zip(rows[:4], [0.05] * 2 + [0.2] * 2, strict=True):
-        seconds, rounds, *shares = row[14:].split()[:4]
-        assert float(seconds) >= least - 0.05 and int(rounds) >= 1
-        assert all(0 <= float(share) <= 1 for share in shares)
+    for row, least in zip(rows[:4], [0.1] * 2 + [0.4] * 2, strict=True):
+        seconds, rounds, learned, left_out = row[14:].split()[:4]
+        assert float(seconds) >= least and int(rounds) >= 1
+        assert float(learned) > 1 / 3 and float(left_out) < 0.8  # of noise, with three actions alike
     assert "3 stumps" in rows[-2] and "1 convnets" in rows[-1] and "0 to 1:" in rows[-1]
 
 

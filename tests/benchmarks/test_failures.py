@@ -257,6 +257,7 @@ def script(*arguments):
     )
 
 
+@pytest.mark.benchmark
 def test_from_runs_of_eval_to_a_report_with_stills(tmp_path):
     given = ("--world.max_steps=40", "--world.render_size=[64,48]", "--seed=0", "--episodes=2")
     done = script("eval.py", "--policy.type=teacher", *given, f"--output_dir={tmp_path / 'runs'}")

@@ -140,6 +140,7 @@ def test_tables_and_picture_have_every_group_and_criterion():
     assert [line.split()[3:6] for line in fit_table(fits)[1:]] == [["1", "2", "0.875"], ["0", "2", "0.625"]]
 
 
+@pytest.mark.benchmark
 def test_a_run_is_written_and_resumed(tmp_path, capsys):
     options = {"sources": ["digits"], "seeds": [0], "quick": True, "output": tmp_path / "rows.json"}
     main(SelectorOptions(**options))

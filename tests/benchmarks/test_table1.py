@@ -43,6 +43,7 @@ def made(tmp_path_factory):
     return folder
 
 
+@pytest.mark.benchmark
 def test_a_table_is_recorded_trained_and_run(made):
     found = json.loads((made / "table.json").read_text())
     assert found.keys() >= {"commit", "date", "command", "rows"}
@@ -64,6 +65,7 @@ def test_a_table_is_recorded_trained_and_run(made):
     assert "before" in (made / "docs/results.md").read_text()
 
 
+@pytest.mark.benchmark
 def test_a_second_run_finds_everything_there(made, monkeypatch, capsys):
     tiny = replace(table_cells.PLANNERS["baseline"], options=TINY)
     monkeypatch.setitem(table_cells.PLANNERS, "baseline", tiny)
@@ -84,6 +86,7 @@ def test_a_row_keeps_its_runs_where_fewer_are_asked_for(tmp_path, monkeypatch):
         assert row["seeds"] == list(range(10_000, 10_000 + held)) and row["successes"] == row["n"] == held
 
 
+@pytest.mark.benchmark
 def test_an_interrupt_keeps_the_cells_that_are_done_and_prints_them(made, monkeypatch, capsys, tmp_path):
     (tmp_path / "table").symlink_to(made / "table")
     outcomes = Runs.outcomes
@@ -101,6 +104,7 @@ def test_an_interrupt_keeps_the_cells_that_are_done_and_prints_them(made, monkey
     assert "| random | teacher" in capsys.readouterr().out
 
 
+@pytest.mark.benchmark
 def test_rows_that_another_call_writes_meanwhile_stay(made, monkeypatch, tmp_path):
     (tmp_path / "table").symlink_to(made / "table")
     other, *_ = json.loads((made / "table.json").read_text())["rows"]
@@ -115,6 +119,7 @@ def test_rows_that_another_call_writes_meanwhile_stay(made, monkeypatch, tmp_pat
     assert [row["planner"] for row in read_rows(tmp_path / "table.json").values()] == ["dpboost-4", "teacher"]
 
 
+@pytest.mark.benchmark
 def test_a_cell_that_fails_is_one_line_and_the_others_stay(made, monkeypatch, capsys):
     wrong = replace(table_cells.PLANNERS["dpboost-2"], options=("--planner.macros=0",))
     monkeypatch.setitem(table_cells.PLANNERS, "dpboost-2", wrong)
