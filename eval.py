@@ -149,7 +149,8 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
         return PlannerSource("teacher"), "teacher", {}
     from dpmacro.policy.policy import MacroPolicy
 
-    config = MacroPolicy.load(options.path).config
+    policy = MacroPolicy.load(options.path)
+    config = policy.config
     # JSON knows no tuples, which the world's options hold.
     stored = {
         name: tuple(value) if isinstance(value, list) else value for name, value in config.world.items()
@@ -160,8 +161,8 @@ def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any]]
     unknown = sorted(set(stored) - {option.name for option in fields(TwoFlagsConfig)})
     if unknown:
         raise ValueError(f"{options.path} was trained in a {WORLD} with {unknown[0]!r}, which this one lacks")
-    saved = bool(getattr(config, "recovery", False))
-    recovery = saved if options.recovery is None else options.recovery
+    recovery = config.recovery if options.recovery is None else options.recovery
+    policy.planner(recovery)  # refuses recovery without demonstrators' actions, before a folder is made
     return PlannerSource("policy", options.path, recovery), config.type, stored
 
 

@@ -1,4 +1,4 @@
-"""The pictures of a segmentation: the dataset's, what classifiers look at, demonstrations'."""
+"""The pictures of a segmentation: of the whole dataset, of the classifiers, and of single demonstrations."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from dpmacro.policy.policy import MacroPolicy
 
 __all__ = ["Picture", "chosen_pixels", "mean_images", "picture_count", "pictures"]
 
-TOLD = 6  # segments that a picture's text counts up
+TOLD = 6  # segments or transitions listed in a picture's text at most
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def _timelines(summary: Summary) -> Picture:
         numbers=summary.episodes,
     )
     below = "" if demonstrations.truth is None else ", the true classes below them in grey"
-    caption = f"Macro-actions in colour{below}. Pale colours are frames that another label explains as well."
+    caption = f"Macro-actions in colour{below}. Another label explains pale frames almost as well."
     alt = f"{len(summary.episodes)} demonstrations as bars along time, a colour for every macro-action"
     return Picture("segmentation", "All demonstrations", figure, alt, caption)
 
@@ -104,7 +104,7 @@ def _elbow(summary: Summary) -> Picture:
     cost = summary.cost_by_bound
     figure = figures.elbow(cost, len(cost) - 1)
     alt = "Cost per frame: " + ", ".join(f"{value:.3f} at S = {s}" for s, value in enumerate(cost))
-    caption = "What another transition saves. A bound beyond the bend cuts where nothing changes."
+    caption = "What each further transition saves. Beyond the bend, cuts fall where nothing changes."
     return Picture("elbow", "Cost by bound", figure, alt, caption)
 
 
@@ -115,7 +115,7 @@ def _heat_maps(summary: Summary, weights: Float[np.ndarray, "macros height width
     alt = "For every macro-action its mean image, and in grey with the pixels its classifier weighs"
     caption = (
         "Above, the mean image of a macro-action's frames. Below, the weight of every stump spread over the "
-        "pixels that it looks at: its classifier decides by the hot ones."
+        "pixels that it looks at. The classifier decides by those of most weight."
     )
     return Picture(
         "pixels", "What the classifiers look at", figures.heat_maps(means, weights, names), alt, caption

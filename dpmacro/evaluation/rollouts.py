@@ -89,9 +89,10 @@ def iter_episodes(
 def replay(
     source: PlannerSource, world: Mapping[str, Any], seed: int, every: int = 1
 ) -> Generator[Moment, None, None]:
-    """The run of `seed` once more, now with pictures, so that other runs need not pay for them.
+    """Run `seed` once more, with pictures, and yield its steps.
 
-    Every `every`-th moment is rendered, from the first on; the others have no view.
+    Rendering is slow, so `iter_episodes` does without. Every `every`-th moment is rendered, from the first
+    on; the others have no view.
     """
     with one_thread(), closing(_Stage(source, world, render_mode="rgb_array")) as stage:
         yield from stage.moments(seed, every)
@@ -151,7 +152,10 @@ class _Stage:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    # A frame at a time gains nothing from threads, and sums must not depend on how many there are.
+    """Within the block torch, where it was imported, uses one thread.
+
+    Single frames gain nothing from threads, and sums must not depend on how many there are.
+    """
     # The teacher needs no torch, whose import takes longer than an episode.
     torch = sys.modules.get("torch")
     if torch is None:

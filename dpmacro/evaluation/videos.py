@@ -18,10 +18,11 @@ WIDTH = 640
 STRIP = 48
 SECONDS_OF_OUTCOME = 1.5
 PAPER, INK = (250, 250, 250), (34, 34, 34)
+OTHER_OUTCOME = "#666666"  # the colour of an outcome that the charts know no colour for
 
 
 def write_run(path: Path, moments: Iterable[Moment], action_names: Sequence[str] = (), fps: int = 30) -> int:
-    """Write a run, as `rollouts.replay` yields it, and hold its last frame with the outcome.
+    """Write a run, as `rollouts.replay` yields it; its last frame stays on, with the outcome written over it.
 
     Returns the number of frames written. H.264 in yuv420p, which every browser plays.
 
@@ -93,7 +94,7 @@ def _with_outcome(
     text = outcome.replace("_", " ")
     (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 1.0, 2)
     top, left = (frame.shape[0] - STRIP) // 2 - 36, (WIDTH - width) // 2 - 24
-    frame[top : top + 72, left : left + width + 48] = _rgb(OUTCOME_COLOURS[outcome])
+    frame[top : top + 72, left : left + width + 48] = _rgb(OUTCOME_COLOURS.get(outcome, OTHER_OUTCOME))
     cv2.putText(frame, text, (left + 24, top + 47), cv2.FONT_HERSHEY_SIMPLEX, 1.0, PAPER, 2, cv2.LINE_AA)
     return frame
 

@@ -1,4 +1,4 @@
-"""The scripts' front door: options in, one line and exit status 2 for a user's mistake.
+"""The scripts' command lines: options as dataclasses, and one line and exit status 2 for a user's mistake.
 
 Options are LeRobot's own kind (draccus): ``--group.field=value`` for every field of a dataclass,
 ``--config_path=file.json`` for a whole file of them, later flags overriding it.

@@ -1,4 +1,4 @@
-"""Ctrl-C where it must not act at once."""
+"""Ctrl-C, held back until a block of statements is done."""
 
 import signal
 import threading

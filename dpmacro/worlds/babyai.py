@@ -27,7 +27,7 @@ LEVELS = (
 ACTIONS = ("left", "right", "forward", "pickup", "drop", "toggle", "done")
 SUBGOALS = ("GoNextTo", "Pickup", "Drop", "Open", "Close", "Explore")
 GO_NEXT_TO = SUBGOALS.index("GoNextTo")
-MAX_PUSHES = 1000  # subgoals that one action may take to plan: a dozen, unless the bot goes round in circles
+MAX_PUSHES = 1000  # subgoals pushed for one action: a dozen or so, unless the bot never stops planning
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def run_bot(level: str, seed: int, tile: int = 8) -> Run | None:
         bot.stack = _Plan(bot.stack)
         try:
             action = int(bot.replan())
-        except Exception:  # it checks little: what it did not foresee ends in whatever error comes first
+        except Exception:  # the bot checks little: a situation it cannot handle raises any kind of error
             return None
         if not bot.stack:  # it takes the mission for accomplished
             return None
@@ -108,7 +108,7 @@ def _purpose(plan: list[int]) -> int:
 
 
 class _Plan(list[Any]):
-    """A stack of subgoals that ends a replanning which pushes without end."""
+    """A stack of subgoals that raises RecursionError where one replanning pushes more than `MAX_PUSHES`."""
 
     def __init__(self, subgoals: list[Any]) -> None:
         super().__init__(subgoals)

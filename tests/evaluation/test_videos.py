@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from dpmacro.evaluation.videos import STRIP, WIDTH, drawn_run, write_run, write_video
+from dpmacro.evaluation.videos import OTHER_OUTCOME, STRIP, WIDTH, drawn_run, write_run, write_video
 from dpmacro.figures import OUTCOME_COLOURS, macro_colour
 from dpmacro.worlds.base import Moment
 
@@ -52,10 +52,11 @@ def test_moments_without_a_picture_are_left_out_but_not_their_outcome():
     assert near(frames[-1], OUTCOME_COLOURS["red_first"]).any()
 
 
-@pytest.mark.parametrize("outcome", OUTCOME_COLOURS)
+@pytest.mark.parametrize("outcome", [*OUTCOME_COLOURS, "out_of_time"])
 def test_the_outcome_fits_the_picture(outcome):
     *_, before, last = drawn_run(run(steps=1, outcome=outcome), fps=1)
-    columns = np.flatnonzero(near(last, OUTCOME_COLOURS[outcome]).any(0))
+    colour = OUTCOME_COLOURS.get(outcome, OTHER_OUTCOME)
+    columns = np.flatnonzero(near(last, colour).any(0))
     assert before is not last
     assert columns.min() > 0 and columns.max() < WIDTH - 1
 

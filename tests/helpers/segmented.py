@@ -28,7 +28,7 @@ def random_policy(kind="rectangles", macros=3, shape=SHAPE, names=NAMES):
         torch.randint(256, (5, macros), generator=generator).to(torch.uint8),
         torch.randn(5, macros, 2, len(names), generator=generator),
     )
-    config = PolicyConfig("dpboost", macros, 0, names, shape, kind)
+    config = PolicyConfig("dpboost", macros, (0,), names, shape, kind)
     quantiser = Quantiser(torch.arange(255, dtype=torch.int32).repeat(features.count, 1))
     return MacroPolicy.compact(config, features, quantiser, actor, None)
 

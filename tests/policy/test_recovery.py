@@ -154,7 +154,7 @@ class Flickering:
     """A policy of three actions under one macro-action, 2 before 1 before 0, whatever it sees."""
 
     device = torch.device("cpu")
-    config = PolicyConfig("baseline", 1, 0, ("a", "b", "c"), (2, 2), "pixels")
+    config = PolicyConfig("baseline", 1, (0,), ("a", "b", "c"), (2, 2), "pixels")
 
     def initial_state(self, batch):
         return PolicyState(torch.zeros(batch).long(), torch.full((batch,), -1))

@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -18,6 +19,7 @@ from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.success import wilson_interval
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
+from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 from dpmacro.utils import cli
 from dpmacro.worlds.two_flags.diagnosis import OUTCOMES
 from dpmacro.worlds.two_flags.env import ACTIONS
@@ -48,7 +50,7 @@ def random_policy(world):
         )
 
     config = PolicyConfig(
-        "dpboost", 2, 0, ACTIONS, (48, 64), "pixels", switches=((0, 1),), thresholds=(0.0,), world=world
+        "dpboost", 2, (0,), ACTIONS, (48, 64), "pixels", switches=((0, 1),), thresholds=(0.0,), world=world
     )
     cuts = torch.arange(255, dtype=torch.int32).repeat(18432, 1)
     return MacroPolicy.compact(config, Pixels.all(48, 64), Quantiser(cuts), stumps(2, 3), stumps(1, 1))
@@ -115,6 +117,32 @@ def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tm
     call(script, monkeypatch, *options[:-1], f"--output_dir={tmp_path / 'again'}")
     again = json.loads((tmp_path / "again" / "eval_info.json").read_text())["dpmacro"]
     assert again == ours
+
+
+@pytest.mark.parametrize(
+    ("saved", "options", "runs"),
+    [(True, [], True), (True, ["--policy.recovery=false"], False), (False, ["--policy.recovery=true"], True)],
+)
+def test_recovery_is_as_it_was_saved_unless_told(script, saved, options, runs, tmp_path, monkeypatch):
+    policy = random_policy({**WORLD, "max_steps": 20})
+    stretches = Stretches.of(torch.zeros(2).long(), torch.tensor([0, 1]), torch.tensor([2]))
+    policy = replace(policy, config=replace(policy.config, recovery=saved), stretches=stretches)
+    policy.save(tmp_path / "policy")
+    made, init = [], RecoveringPlanner.__init__
+    monkeypatch.setattr(RecoveringPlanner, "__init__", lambda *given: made.append(1) or init(*given))
+    options = [f"--policy.path={tmp_path / 'policy'}", "--episodes=1", *options]
+    call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'out'}")
+    ours = json.loads((tmp_path / "out" / "eval_info.json").read_text())["dpmacro"]
+    assert ours["recovery"] is runs and bool(made) is runs
+
+
+def test_recovery_of_a_policy_without_segments_is_refused(script, policy, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        options = [f"--policy.path={policy}", "--policy.recovery=true", f"--output_dir={tmp_path / 'out'}"]
+        call(script, monkeypatch, *options)
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1 and "run it without recovery" in error
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_run_that_repeats_itself_ends_at_once(script, tmp_path, monkeypatch, capsys):

@@ -34,11 +34,11 @@ class TwoFlagsConfig:
     """Options of `TwoFlagsEnv`; a value out of range raises ValueError."""
 
     flags: str = "random"
-    """Whether room and flags are placed anew each episode ("random") or once and for all ("fixed")."""
+    """Whether every episode draws its room and flags ("random") or all share one layout ("fixed")."""
     layout_seed: int = 0
-    """Seed of the one layout that flags="fixed" keeps; the episode's seed has no say in it."""
+    """Seed of the one layout that flags="fixed" keeps; the episode's seed does not change it."""
     yaw_noise: float = 0.5
-    """Standard deviation, in degrees, of the turn by which every forward step goes astray."""
+    """Standard deviation, in degrees, of the random turn after every forward step."""
     render_size: tuple[int, int] = (128, 96)
     """Width and height, in pixels, of the picture that is area-downscaled to the 64x48 observation."""
     max_steps: int = 3000
@@ -79,8 +79,8 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
     centre, float64 [2]) and `heading` (radians from the x axis, counter-clockwise, in [-pi, pi)), and
     `state`, hashable: where it is the same at two moments of an episode, the same actions lead to the same
     from there on, until truncation. It holds the forward steps taken (without yaw noise, the position), the
-    turns modulo a whole one, and the phase. Turns add up in floating point: after a whole one the heading is
-    off by 1e-13 radians or so, which `state` takes for the same.
+    turns modulo a whole one, and the phase. Turns add up in floating point: after a whole one the heading
+    differs by about 1e-13 radians, and `state` ignores that.
 
     Attributes: `config`, `scene`, and the `layout` of the current episode.
 
@@ -204,7 +204,8 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         }
 
     def _state(self) -> Hashable:
-        # A forward step draws noise, so none is like another; without noise a blocked one changes nothing.
+        # Every forward step draws noise, so after one more of them no state is as before. Without noise the
+        # position itself tells: a step against a wall changes nothing.
         place = self._walked if self.config.yaw_noise else tuple(self.scene.position.tolist())
         return place, self._turned, self._phase
 

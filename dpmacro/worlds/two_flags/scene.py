@@ -1,4 +1,4 @@
-"""The room, the two flags and the avatar in PyBullet: collision, motion, sight and pictures."""
+"""The room, the two flags and the avatar in PyBullet: collision, motion, visibility and pictures."""
 
 import math
 from collections.abc import Sequence
@@ -196,10 +196,10 @@ class Scene:
             self._client = -1
 
     def _eye(self, ahead: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
-        """Return the avatar's position, moved back by hairs until no mesh corner is exactly beside it.
+        """Return the avatar's position, moved back by 0.3 mm until no mesh corner is exactly beside it.
 
-        TinyRenderer divides by a corner's distance to the plane through the eye: at zero, which rounding
-        makes likelier than it sounds, it draws black holes or loops over 2^31 columns for minutes.
+        TinyRenderer divides by a corner's distance to the plane through the eye. Rounding makes distances of
+        zero common, and there it draws black holes or loops over 2^31 columns for minutes.
         """
         eye = self.position
         while np.abs((self._corners - eye) @ ahead).min() < _CLEARANCE:
