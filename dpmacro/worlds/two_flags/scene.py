@@ -30,7 +30,7 @@ _COLOURS = {"blue": (0.05, 0.15, 1.0, 1.0), "red": (1.0, 0.08, 0.08, 1.0)}
 _ROUND = circle(FLAG_RADIUS, 24)
 _NEAR, _FAR = 0.05, 40.0
 _CLEARANCE = 1e-4
-# Bullet puts bodies without mass, walls and flags, into group 2; sight must pass the avatar itself.
+# Bullet puts bodies without mass, walls and flags, into group 2; rays must pass through the avatar.
 _OBSTACLES, _AVATAR = 2, 64
 
 

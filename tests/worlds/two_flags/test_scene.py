@@ -1,4 +1,4 @@
-"""Collision, sight and pictures of the scene."""
+"""Collision, visibility and pictures of the scene."""
 
 import math
 
@@ -96,7 +96,9 @@ def test_an_avatar_glances_off_a_flag_met_aslant(scene):
         ((4.0, 0.5), (2.0, 2.0), -math.pi / 2, True, False),  # red beside the field of view
     ],
 )
-def test_sight(scene, red, start, heading, sees_blue, sees_red):
+def test_a_flag_is_visible_where_it_is_in_view_and_not_hidden(
+    scene, red, start, heading, sees_blue, sees_red
+):
     stand(scene, Layout(12.0, (2.0, 0.0), red), *start, heading)
     assert (scene.visible("blue"), scene.visible("red")) == (sees_blue, sees_red)
 
