@@ -17,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.data.images import Sight
+from dpmacro.data.images import ImageTransform
 from dpmacro.discovery.model_order import Choice
 from dpmacro.metrics import boundary_counts, frame_accuracy
 from dpmacro.metrics.success import wilson_interval
@@ -37,8 +37,10 @@ def main(options: TrainOptions) -> None:
     folder = RunFolder(options.output_dir) if options.output_dir else RunFolder.dated(job_name)
     dataset = options.dataset
     assert dataset.root is not None, "the options checked it"
-    sight = Sight(dataset.image_size, memory=options.planner.memory_limit)
-    demonstrations = Demonstrations.load(dataset.root, dataset.episodes, dataset.camera, dataset.truth, sight)
+    transform = ImageTransform(dataset.image_size, memory=options.planner.memory_limit)
+    demonstrations = Demonstrations.load(
+        dataset.root, dataset.episodes, dataset.camera, dataset.truth, transform
+    )
     started = time.perf_counter()
     if options.dagger.iterations:
         from dpmacro.training.dagger import aggregate  # worlds and their teachers: a second of imports

@@ -176,13 +176,17 @@ def _record(record: ModuleType, world: dict[str, Any], root: Path, n_runs: int) 
     By then worlds are built and LeRobot is imported. As many runs wait at the start as at the end.
     """
     kept, first, started = 0, 0, 0.0
+    told = hasattr(record, "TASK")  # by the script; earlier writers knew it themselves
+    classes, task = ({"classes": record.PHASES}, {"task": record.TASK}) if told else ({}, {})
     with (
-        record.DemonstrationWriter.create(root, record.ACTIONS, record.FPS, world, view=False) as writer,
+        record.DemonstrationWriter.create(
+            root, record.ACTIONS, record.FPS, world, False, **classes
+        ) as writer,
         closing(record.teacher_runs(world, False, 0, PROCESSES)) as runs,
     ):
         for seed, run in enumerate(runs):
             if run is not None:
-                writer.add_episode(run.images, run.actions, run.truth, run.rewards, True)
+                writer.add_episode(run.images, run.actions, run.truth, run.rewards, True, **task)
                 kept += 1
                 if kept == 1:
                     first, started = seed + 1, time.perf_counter()

@@ -78,7 +78,7 @@ def main(options: AnnotateOptions) -> None:
         raise ValueError(f"{output_dir} already holds a {NUMBERS}: give another --output_dir")
     policy = MacroPolicy.load(path)
     demonstrations = Demonstrations.load(
-        dataset.root, dataset.episodes, dataset.camera, dataset.truth, policy.config.sight
+        dataset.root, dataset.episodes, dataset.camera, dataset.truth, policy.config.image_transform
     )
     summary = Summary(
         policy,

@@ -22,6 +22,7 @@ from dpmacro.data.lerobot.writer import DemonstrationWriter
 from dpmacro.utils import cli
 from dpmacro.utils.processes import spread, stopped
 from dpmacro.worlds.two_flags.env import ACTIONS, TwoFlagsConfig, TwoFlagsEnv
+from dpmacro.worlds.two_flags.recording import PHASES, TASK
 from dpmacro.worlds.two_flags.teacher import Teacher
 
 WORLD = "TwoFlags-v0"
@@ -69,14 +70,14 @@ def main(cfg: RecordConfig) -> None:
     world = {"id": WORLD, **asdict(cfg.world)}
     kept = frames = tried = 0
     with (
-        DemonstrationWriter.create(cfg.root, ACTIONS, FPS, world, cfg.view, symmetric=True) as writer,
+        DemonstrationWriter.create(cfg.root, ACTIONS, FPS, world, cfg.view, PHASES, symmetric=True) as writer,
         closing(teacher_runs(world, cfg.view, cfg.seed, cfg.workers)) as runs,
         tqdm(total=cfg.episodes, unit="episode") as bar,
     ):
         for run in runs:
             tried += 1
             if run is not None:
-                writer.add_episode(run.images, run.actions, run.truth, run.rewards, True, run.views)
+                writer.add_episode(run.images, run.actions, run.truth, run.rewards, True, TASK, run.views)
                 kept += 1
                 frames += len(run.actions)
                 bar.set_postfix(frames=frames, tried=tried)

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from noise import ACTIONS, WORLD, random_episodes
+from noise import ACTIONS, PHASES, WORLD, random_episodes
 
 # The folders and files whose modules take longest, the longest first.
 SLOW = (
@@ -74,7 +74,7 @@ def recorded(tmp_path_factory) -> Path:
     from dpmacro.data.lerobot.writer import DemonstrationWriter
 
     root = tmp_path_factory.mktemp("recorded") / "two_flags"
-    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False) as writer:
+    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False, classes=PHASES) as writer:
         for episode in random_episodes():
             writer.add_episode(**episode)
     return root

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Int64, UInt8
 
 from dpmacro.data.actions import discrete_actions
-from dpmacro.data.images import DatasetError, FrameBuffer, Sight
+from dpmacro.data.images import DatasetError, FrameBuffer, ImageTransform
 from dpmacro.data.lerobot.reader import StoredDataset
 
 __all__ = ["DatasetError", "Demonstrations"]
 
-AS_STORED = Sight()
+AS_STORED = ImageTransform()
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Demonstrations:
 
     Attributes:
         images: what the planner sees, RGB.
-        actions: the action taken at that sight, 0..M-1.
+        actions: the action taken at each image, 0..M-1.
         lengths: frames per trajectory, at least 2.
         action_names: M names; the numbers as text where the dataset names none.
         fps: frames per second.
@@ -57,7 +57,7 @@ class Demonstrations:
         episodes: Sequence[int] | None = None,
         camera: str | None = None,
         truth: str | None = None,
-        sight: Sight = AS_STORED,
+        transform: ImageTransform = AS_STORED,
     ) -> "Demonstrations":
         """Reads a LeRobot v3 dataset with discrete actions, without touching the network.
 
@@ -65,7 +65,8 @@ class Demonstrations:
         one-hot vectors. `episodes` chooses some, in the order given; `camera` names the image feature where
         there are several (it may stay None where exactly one of them is stored as images rather than video);
         `truth` names the integer column of true labels, "none" for no truth; by default it is the first that
-        was recorded as such, else `phase` or `subgoal`, where there is one. `sight` says how images are held.
+        was recorded as such, else `phase` or `subgoal`, where there is one. `transform` says
+        what is done to the images.
 
         Raises DatasetError, one line that names folder, value and remedy, for anything it cannot read as
         demonstrations of at least two frames each.
@@ -86,7 +87,7 @@ class Demonstrations:
         columns = store.columns(names, chosen)
         actions, action_names = discrete_actions(store, columns)
         labels, classes = (None, ()) if truth is None else _true_labels(store, truth, columns[truth])
-        buffer = FrameBuffer(len(actions), sight, f"dataset {root}, {camera}")
+        buffer = FrameBuffer(len(actions), transform, f"dataset {root}, {camera}")
         store.fill(buffer, camera, chosen)
         return cls(
             images=buffer.images,
@@ -149,6 +150,7 @@ class Demonstrations:
             lengths=np.concatenate([self.lengths, others.lengths]),
             truth=np.concatenate([self.truth, others.truth]) if same_truth else None,
             truth_name=self.truth_name if same_truth else None,
+            truth_classes=max(self.truth_classes, others.truth_classes, key=len) if same_truth else (),
         )
 
 

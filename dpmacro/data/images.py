@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 
 from dpmacro.features.memory import GIB
 
-__all__ = ["DatasetError", "FrameBuffer", "Sight"]
+__all__ = ["DatasetError", "FrameBuffer", "ImageTransform"]
 
 
 class DatasetError(ValueError):
@@ -16,23 +16,25 @@ class DatasetError(ValueError):
 
 
 @dataclass(frozen=True)
-class Sight:
-    """How images are held; sizes are (width, height) in pixels.
+class ImageTransform:
+    """What is done to stored images before anything learns from them or acts on them.
+
+    Sizes are (width, height) in pixels.
 
     Attributes:
-        size: that they are shrunk to, by the mean over areas; None for as they are stored.
-        stored: what a policy was trained on, the only size that they may be stored with; None for any.
-        memory: GiB that all of them may take; None for any.
+        size: what images are shrunk to, by the mean over areas; None leaves them as they are stored.
+        stored: the only size that stored images may have, that of a policy's training; None allows any.
+        memory: GiB that all transformed images may take together; None allows any.
     """
 
     size: tuple[int, int] | None = None
     stored: tuple[int, int] | None = None
     memory: float | None = None
 
-    def of(
+    def apply(
         self, image: UInt8[np.ndarray, "height width 3"], name: str
-    ) -> UInt8[np.ndarray, "held_height held_width 3"]:
-        """An image as it is held. Raises DatasetError, with `name`, where its size is not allowed."""
+    ) -> UInt8[np.ndarray, "new_height new_width 3"]:
+        """The transformed image. Raises DatasetError, beginning with `name`, for a size not allowed."""
         height, width = image.shape[:2]
         if self.stored is not None and self.stored != (width, height):
             raise DatasetError(
@@ -52,12 +54,12 @@ class FrameBuffer:
 
     Args:
         count: how many.
-        sight: how they are held.
+        transform: what is done to each before it is held.
         name: for errors.
     """
 
-    def __init__(self, count: int, sight: Sight, name: str) -> None:
-        self.count, self.sight, self.name = count, sight, name
+    def __init__(self, count: int, transform: ImageTransform, name: str) -> None:
+        self.count, self.transform, self.name = count, transform, name
         self._images: np.ndarray | None = None
         self._stored: tuple[int, ...] = ()
 
@@ -67,15 +69,15 @@ class FrameBuffer:
         Raises DatasetError where its size is not that of the others, not allowed, or memory does not do.
         """
         if self._images is None:
-            self._stored, self._images = image.shape, self._room(self.sight.of(image, self.name))
+            self._stored, self._images = image.shape, self._room(self.transform.apply(image, self.name))
         if image.shape != self._stored:
             raise DatasetError(
                 f"{self.name}: frame {place} is {image.shape}, others {self._stored}; resize it"
             )
-        self._images[place] = self.sight.of(image, self.name)
+        self._images[place] = self.transform.apply(image, self.name)
 
     @property
-    def images(self) -> UInt8[np.ndarray, "frames held_height held_width 3"]:
+    def images(self) -> UInt8[np.ndarray, "frames height width 3"]:
         """All of them."""
         assert self._images is not None, "a dataset has frames"
         return self._images
@@ -88,10 +90,10 @@ class FrameBuffer:
 
     def _room(self, first: np.ndarray) -> np.ndarray:
         need, (height, width) = self.count * first.nbytes / GIB, first.shape[:2]
-        if self.sight.memory is not None and need > self.sight.memory:
+        if self.transform.memory is not None and need > self.transform.memory:
             raise DatasetError(
                 f"{self.name}: {self.count} images of {width}x{height} take {need:.2g} GiB, and there are "
-                f"{self.sight.memory:.2g} for them: give more --planner.memory_limit, shrink them, like "
+                f"{self.transform.memory:.2g} for them: give more --planner.memory_limit, shrink them, like "
                 f"--dataset.image_size='[{width // 2},{height // 2}]', or take fewer --dataset.episodes"
             )
         return np.empty((self.count, *first.shape), np.uint8)

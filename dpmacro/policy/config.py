@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dpmacro.data.images import Sight
+from dpmacro.data.images import ImageTransform
 from dpmacro.features.kinds import FEATURES
 
 __all__ = ["PolicyConfig", "read_config"]
@@ -33,10 +33,10 @@ class PolicyConfig:
     world: dict[str, Any] = field(default_factory=dict)  # {"id": ..., **options} of the demonstrations
 
     @property
-    def sight(self) -> Sight:
-        """How it sees: images of the size that its demonstrations were stored with, shrunk as they were."""
+    def image_transform(self) -> ImageTransform:
+        """What is done to images: only those of the demonstrations' stored size, shrunk as they were."""
         height, width = self.stored_shape or self.image_shape
-        return Sight(self.image_shape[::-1], stored=(width, height))
+        return ImageTransform(self.image_shape[::-1], stored=(width, height))
 
     def __post_init__(self) -> None:
         macros = [*self.starts, *(macro for pair in self.switches for macro in pair)]

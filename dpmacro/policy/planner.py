@@ -84,7 +84,7 @@ class MacroPlanner:
         The macro-action changes here where a switch function fires. Raises ValueError for a frame of another
         size.
         """
-        pixels = self.policy.config.sight.of(observation["pixels"], "the observation")
+        pixels = self.policy.config.image_transform.apply(observation["pixels"], "the observation")
         images, previous = torch.from_numpy(pixels)[None], self._state.previous
         scores, self._state = self.policy.decide(images.to(self.policy.device), self._state)
         seen = images if previous is None else torch.cat([images, previous.cpu()])

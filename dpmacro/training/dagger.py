@@ -20,13 +20,14 @@ from tqdm import tqdm
 
 from dpmacro.annotation.annotate import annotate
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.data.images import Sight
-from dpmacro.data.lerobot.writer import PHASES, DemonstrationWriter
+from dpmacro.data.images import ImageTransform
+from dpmacro.data.lerobot.writer import DemonstrationWriter
 from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes
 from dpmacro.training.collection import Visit, gather
 from dpmacro.training.options import DaggerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer, TrainingResult, plain_options
+from dpmacro.worlds.two_flags.recording import PHASES, TASK
 
 __all__ = ["DRIVERS", "Iteration", "aggregate"]
 
@@ -121,7 +122,7 @@ def _gathered(
             _add(writer, visit)
             agreed.append(visit.agreed[~visit.taught])
     height, width = demonstrations.images.shape[1:3]
-    stored = Demonstrations.load(root, sight=Sight((width, height)))
+    stored = Demonstrations.load(root, transform=ImageTransform((width, height)))
     new = range(len(stored.lengths) - dagger.episodes, len(stored.lengths))
     return stored.select(new), float(np.concatenate(agreed).mean())
 
@@ -143,7 +144,7 @@ def _writer(root: Path, demonstrations: Demonstrations) -> DemonstrationWriter:
 
 def _add(writer: DemonstrationWriter, visit: Visit) -> None:
     truth = {"phase": visit.phases, "driver": visit.taught.astype(np.int64)}
-    writer.add_episode(visit.images, visit.actions, truth, visit.rewards, visit.success)
+    writer.add_episode(visit.images, visit.actions, truth, visit.rewards, visit.success, TASK)
 
 
 def _settled(options: TrainOptions, result: TrainingResult) -> TrainOptions:

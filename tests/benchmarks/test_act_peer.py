@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from noise import ACTIONS, LENGTHS, random_episodes
+from noise import ACTIONS, LENGTHS, PHASES, random_episodes
 
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
@@ -41,7 +41,7 @@ def modules():
 def coloured(tmp_path_factory):
     """A dataset in which an episode shows one colour, red, green or blue, and holds one action."""
     root = tmp_path_factory.mktemp("coloured") / "two_flags"
-    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False) as writer:
+    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False, classes=PHASES) as writer:
         for action, episode in zip((0, 1, 2, 2), random_episodes(), strict=True):
             episode["actions"][:], episode["images"][:] = action, COLOURS[action]
             writer.add_episode(**episode)

@@ -17,12 +17,12 @@ FAST = ["--switch_stumps=3", "--switch_convnets=1"]
 def five(tmp_path_factory) -> Path:
     """Five demonstrations of 12 frames, of which the second half is phase 1."""
     root, generator = tmp_path_factory.mktemp("five") / "data", np.random.default_rng(0)
-    world = {"id": "TwoFlags-v0"}
-    with DemonstrationWriter.create(root, ("forward", "turn_left", "turn_right"), 30, world, False) as writer:
+    about = {"id": "TwoFlags-v0"}, False, {"phase": ("before", "after")}
+    with DemonstrationWriter.create(root, ("forward", "turn_left", "turn_right"), 30, *about) as writer:
         for _ in range(5):
             images = generator.integers(0, 256, (12, 8, 8, 3), np.uint8)
             actions, phases = np.arange(12) % 3, (np.arange(12) > 5).astype(np.int64)
-            writer.add_episode(images, actions, {"phase": phases}, np.zeros(12, np.float32), True)
+            writer.add_episode(images, actions, {"phase": phases}, np.zeros(12, np.float32), True, "go")
     return root
 
 

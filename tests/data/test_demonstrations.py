@@ -2,6 +2,7 @@ import json
 import shutil
 import socket
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from noise import ACTIONS, LENGTHS, WORLD, random_episodes
+from noise import ACTIONS, LENGTHS, PHASES, WORLD, random_episodes
 
 from dpmacro.data.demonstrations import DatasetError, Demonstrations
-from dpmacro.data.images import Sight
+from dpmacro.data.images import ImageTransform
 from dpmacro.data.lerobot.writer import AVATAR, VIEW, DemonstrationWriter
 
 DATA = "data/chunk-000/file-000.parquet"
@@ -29,7 +30,7 @@ def root(recorded, tmp_path) -> Path:
 def two_cameras(tmp_path_factory) -> Path:
     """Two episodes with the view for people, a flat colour a frame that video keeps roughly."""
     root = tmp_path_factory.mktemp("cameras") / "two_cameras"
-    with DemonstrationWriter.create(root, ACTIONS, 30, {}, view=True) as writer:
+    with DemonstrationWriter.create(root, ACTIONS, 30, {}, view=True, classes=PHASES) as writer:
         for episode in random_episodes((8, 6), shape=(24, 32, 3)):
             level = episode["actions"] * 100 + 20
             views = np.broadcast_to(level[:, None, None, None], (len(level), 240, 320, 3))
@@ -299,7 +300,7 @@ def test_the_lossless_camera_is_preferred_and_video_can_be_named(two_cameras):
 @pytest.mark.parametrize("size", [(16, 12), (7, 24), (1, 1)])
 def test_images_are_shrunk_while_they_are_read(two_cameras, camera, size):
     stored = Demonstrations.load(two_cameras, camera=camera)
-    shrunk = Demonstrations.load(two_cameras, camera=camera, sight=Sight(size))
+    shrunk = Demonstrations.load(two_cameras, camera=camera, transform=ImageTransform(size))
     wanted = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in stored.images]
     assert np.array_equal(shrunk.images, wanted)
     assert (stored.stored_shape, shrunk.stored_shape) == (None, stored.images.shape[1:3])
@@ -307,17 +308,17 @@ def test_images_are_shrunk_while_they_are_read(two_cameras, camera, size):
 
 
 def test_a_size_that_is_the_stored_one_changes_nothing(recorded):
-    same = Demonstrations.load(recorded, sight=Sight((64, 48)))
+    same = Demonstrations.load(recorded, transform=ImageTransform((64, 48)))
     assert same.stored_shape is None and np.array_equal(same.images, expected()["images"])
 
 
 @pytest.mark.parametrize("camera", [AVATAR, VIEW])
 def test_images_that_cannot_be_held_as_asked_are_refused(two_cameras, camera):
     with pytest.raises(DatasetError, match=rf"{camera}: images are .*, image_size is 999x12: ask for"):
-        Demonstrations.load(two_cameras, camera=camera, sight=Sight((999, 12)))
+        Demonstrations.load(two_cameras, camera=camera, transform=ImageTransform((999, 12)))
     with pytest.raises(DatasetError, match=r"14 images of .* GiB, and there are 1e-06 for them"):
-        Demonstrations.load(two_cameras, camera=camera, sight=Sight(memory=1e-6))
-    small = Demonstrations.load(two_cameras, camera=camera, sight=Sight((4, 4), memory=1e-6))
+        Demonstrations.load(two_cameras, camera=camera, transform=ImageTransform(memory=1e-6))
+    small = Demonstrations.load(two_cameras, camera=camera, transform=ImageTransform((4, 4), memory=1e-6))
     assert small.images.shape == (14, 4, 4, 3)
 
 
@@ -517,3 +518,34 @@ def test_a_symmetry_that_is_neither_true_nor_false_is_refused(root, value):
         DatasetError, match=rf"dpmacro\.json: symmetric is {json.dumps(value)}; write true or false"
     ):
         Demonstrations.load(root)
+
+
+def test_joined_demonstrations_follow_one_another(recorded):
+    first, second = (Demonstrations.load(recorded, episodes) for episodes in ([0, 1], [2]))
+    both = first.joined(second)
+    assert np.array_equal(both.images, np.concatenate([first.images, second.images]))
+    assert np.array_equal(both.actions, np.concatenate([first.actions, second.actions]))
+    assert np.array_equal(both.truth, np.concatenate([first.truth, second.truth]))
+    assert both.lengths.tolist() == list(LENGTHS[:3])
+    assert (both.truth_name, both.truth_classes) == ("phase", ("before blue", "after blue"))
+
+
+@pytest.mark.parametrize("truth", ["none", "discrete_action"])
+def test_what_is_joined_with_another_truth_has_none(recorded, truth):
+    phases, others = Demonstrations.load(recorded), Demonstrations.load(recorded, truth=truth)
+    for both in (phases.joined(others), others.joined(phases)):
+        assert (both.truth, both.truth_name, both.truth_classes) == (None, None, ())
+
+
+def test_the_names_of_joined_labels_cover_all_of_them(recorded):
+    first = Demonstrations.load(recorded, [0])
+    more = replace(first, truth=first.truth + 1, truth_classes=("before blue", "after blue", "2"))
+    assert first.joined(more).truth_classes == more.joined(first).truth_classes == more.truth_classes
+
+
+def test_only_like_is_joined_with_like(recorded):
+    first = Demonstrations.load(recorded)
+    with pytest.raises(ValueError, match=r"has the actions .*forward.* and .*: join like with like"):
+        first.joined(replace(first, action_names=("a", "b", "c")))
+    with pytest.raises(ValueError, match=r"has images of \(48, 64\) and .* \(24, 64\): join like with like"):
+        first.joined(replace(first, images=first.images[:, ::2]))

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dpmacro.data.images import DatasetError, FrameBuffer, Sight
+from dpmacro.data.images import DatasetError, FrameBuffer, ImageTransform
 
 
 def noise(height, width):
@@ -12,7 +12,7 @@ def noise(height, width):
 
 
 def test_images_come_to_their_places_shrunk():
-    buffer, images = FrameBuffer(3, Sight((8, 6)), "here"), [noise(48, 64) for _ in range(3)]
+    buffer, images = FrameBuffer(3, ImageTransform((8, 6)), "here"), [noise(48, 64) for _ in range(3)]
     for place in (2, 0, 1):
         buffer.put(place, images[place])
     assert buffer.stored_shape == (48, 64)
@@ -21,31 +21,31 @@ def test_images_come_to_their_places_shrunk():
 
 
 def test_images_of_the_size_asked_for_are_as_stored():
-    buffer = FrameBuffer(1, Sight((64, 48)), "here")
+    buffer = FrameBuffer(1, ImageTransform((64, 48)), "here")
     buffer.put(0, noise(48, 64))
     assert buffer.stored_shape is None and np.array_equal(buffer.images[0], noise(48, 64))
 
 
-@pytest.mark.parametrize("sight", [Sight(), Sight((8, 6))])
-def test_images_of_several_sizes_are_refused(sight):
-    buffer = FrameBuffer(2, sight, "here")
+@pytest.mark.parametrize("transform", [ImageTransform(), ImageTransform((8, 6))])
+def test_images_of_several_sizes_are_refused(transform):
+    buffer = FrameBuffer(2, transform, "here")
     buffer.put(1, noise(48, 64))
     with pytest.raises(DatasetError, match=r"here: frame 0 is \(24, 32, 3\), others \(48, 64, 3\)"):
         buffer.put(0, noise(24, 32))
 
 
 @pytest.mark.parametrize(
-    ("sight", "message"),
+    ("transform", "message"),
     [
-        (Sight((65, 48)), "here: images are 64x48, image_size is 65x48: ask for smaller ones"),
-        (Sight((8, 6), stored=(32, 24)), "here: images are 64x48, the policy was trained on 32x24"),
+        (ImageTransform((65, 48)), "here: images are 64x48, image_size is 65x48: ask for smaller ones"),
+        (ImageTransform((8, 6), stored=(32, 24)), "here: images are 64x48, the policy was trained on 32x24"),
         (
-            Sight(memory=1.0),
+            ImageTransform(memory=1.0),
             "here: 200000 images of 64x48 take 1.7 GiB, and there are 1 for them: give more "
             r"--planner.memory_limit, shrink them, like --dataset.image_size='\[32,24\]', or take fewer",
         ),
     ],
 )
-def test_what_cannot_be_held_is_named(sight, message):
+def test_what_cannot_be_held_is_named(transform, message):
     with pytest.raises(DatasetError, match=message):
-        FrameBuffer(200_000, sight, "here").put(0, noise(48, 64))
+        FrameBuffer(200_000, transform, "here").put(0, noise(48, 64))

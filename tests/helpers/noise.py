@@ -4,6 +4,7 @@ import numpy as np
 
 WORLD = {"id": "TwoFlags-v0", "flags": "fixed", "layout_seed": 3}
 ACTIONS = ("forward", "turn_left", "turn_right")
+PHASES = {"phase": ("before blue", "after blue")}
 LENGTHS = (12, 7, 2, 9)
 
 
@@ -17,4 +18,5 @@ def random_episodes(lengths=LENGTHS, seed=0, shape=(48, 64, 3)):
             "truth": {"phase": np.arange(length) // (length // 2 + 1)},
             "rewards": rng.random(length, np.float32),
             "success": True,
+            "task": "reach the blue flag, then the red flag",
         }

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from noise import random_episodes
+from noise import PHASES, random_episodes
 from segmented import random_policy
 
 from dpmacro.data.lerobot.writer import DemonstrationWriter
@@ -94,7 +94,9 @@ def test_a_segmentation_of_some_episodes(script, policy, recorded, tmp_path, mon
 
 
 def test_a_dataset_of_another_size_is_refused(script, policy, tmp_path, monkeypatch, capsys):
-    with DemonstrationWriter.create(tmp_path / "small", ACTIONS, 30, {}, view=False) as writer:
+    with DemonstrationWriter.create(
+        tmp_path / "small", ACTIONS, 30, {}, view=False, classes=PHASES
+    ) as writer:
         for episode in random_episodes(shape=(24, 32, 3)):
             writer.add_episode(**episode)
     with pytest.raises(SystemExit) as exit_:

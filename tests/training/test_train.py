@@ -18,7 +18,7 @@ import train
 from dpmacro.annotation.annotate import annotate
 from dpmacro.boosting.crossfit import FOLDS
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.data.images import Sight
+from dpmacro.data.images import ImageTransform
 from dpmacro.data.lerobot.reader import WORLD_FILE
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
 from dpmacro.features.base import previous_images
@@ -299,7 +299,7 @@ def test_shrunk_images_from_training_to_runs(recorded, tmp_path, monkeypatch, ca
         output = tmp_path / options[0].strip("-")
         monkeypatch.setattr(sys, "argv", ["", f"--policy.path={path}", *options, f"--output_dir={output}"])
         cli.run(script.main, script.EvalOptions)
-    demonstrations = Demonstrations.load(recorded, sight=Sight((32, 24)))
+    demonstrations = Demonstrations.load(recorded, transform=ImageTransform((32, 24)))
     labels = annotate(MacroPolicy.load(path), demonstrations).labels.numpy()
     told = json.loads((tmp_path / "segmentation/segmentation.json").read_text())["demonstrations"]
     wanted = [part.tolist() for part in segments(labels, demonstrations.lengths)]

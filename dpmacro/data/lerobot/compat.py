@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import av
 
@@ -46,7 +45,7 @@ def resume_dataset(root: Path, view: bool, cache: Path) -> Any:
             return True
 
     resume = getattr(LeRobotDataset, "resume", AppendedTo)
-    with quiet(), patch.object(datasets.config, "HF_DATASETS_CACHE", cache):
+    with quiet(), _replaced(datasets.config, "HF_DATASETS_CACHE", cache):
         return resume(_NAME, root=root, **_encoding(view))
 
 
@@ -60,7 +59,7 @@ def embedding_at_once() -> Iterator[None]:
     ]
     with ExitStack() as stack:
         for module in modules:
-            stack.enter_context(patch.object(module, "embed_images", _embed_images))
+            stack.enter_context(_replaced(module, "embed_images", _embed_images))
         yield
 
 
@@ -86,6 +85,17 @@ def quiet() -> Iterator[None]:
             os.environ["SVT_LOG"] = encoder_log
         # LeRobot shows them again on its own where it hid some.
         (datasets.disable_progress_bars if bars_disabled else datasets.enable_progress_bars)()
+
+
+@contextmanager
+def _replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
+    """An attribute that has another value for the time of the block."""
+    before = getattr(owner, name)
+    setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        setattr(owner, name, before)
 
 
 def _encoding(view: bool) -> dict[str, Any]:

@@ -20,8 +20,6 @@ from dpmacro.utils.files import replace_folder
 
 AVATAR = "observation.images.avatar"
 VIEW = "observation.images.view"
-TASK = "reach the blue flag, then the red flag"
-PHASES = {"phase": ("before blue", "after blue")}
 _OF_LEROBOT = {"timestamp", "frame_index", "episode_index", "index", "task_index"}  # on every frame, unasked
 
 
@@ -32,9 +30,9 @@ class DemonstrationWriter:
     interrupt removes what was written so far.
 
         with DemonstrationWriter.create(root, ("forward", "left", "right"), 30, world, view=False) as writer:
-            writer.add_episode(images, actions, truth, rewards, success)
+            writer.add_episode(images, actions, {}, rewards, success, "reach the door")
         with DemonstrationWriter.extend(root) as writer:
-            writer.add_episode(images, actions, truth, rewards, success)
+            writer.add_episode(images, actions, {}, rewards, success, "reach the door")
     """
 
     def __init__(
@@ -67,7 +65,7 @@ class DemonstrationWriter:
         fps: int,
         world: dict[str, Any],
         view: bool,
-        classes: Mapping[str, Sequence[str]] = PHASES,
+        classes: Mapping[str, Sequence[str]] | None = None,
         symmetric: bool = False,
     ) -> "DemonstrationWriter":
         """A writer of a new dataset.
@@ -79,7 +77,7 @@ class DemonstrationWriter:
             world: {"id": of the world, **its options}, kept in `meta/dpmacro.json`.
             view: whether every episode comes with the avatar's view for people, stored as video.
             classes: columns of true labels, each with the names of its labels 0..K-1, kept in
-                `meta/dpmacro.json`; readers take the first column as the truth.
+                `meta/dpmacro.json`; readers take the first column as the truth. By default there are none.
             symmetric: whether the world and its mirror image are alike, kept in `meta/dpmacro.json`; readers
                 may then learn from mirror images of the pictures.
 
@@ -90,7 +88,7 @@ class DemonstrationWriter:
             raise ValueError(f"action_names {tuple(action_names)}: LeRobot's tools need at least two actions")
         _refuse_existing(root)
         root.parent.mkdir(parents=True, exist_ok=True)
-        return cls(root, action_names, fps, world, view, classes, symmetric)
+        return cls(root, action_names, fps, world, view, classes or {}, symmetric)
 
     @classmethod
     def extend(cls, root: str | Path) -> "DemonstrationWriter":
@@ -118,8 +116,8 @@ class DemonstrationWriter:
         truth: Mapping[str, Int64[np.ndarray, " frames"]],
         rewards: Float32[np.ndarray, " frames"],
         success: bool,
+        task: str,
         views: UInt8[np.ndarray, "frames view_height view_width 3"] | None = None,
-        task: str = TASK,
     ) -> None:
         """Appends one episode; frame t holds the observation before action t, reward t what it earned.
 

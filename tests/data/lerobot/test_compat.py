@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from noise import ACTIONS, LENGTHS, WORLD, random_episodes
+from noise import ACTIONS, LENGTHS, PHASES, WORLD, random_episodes
 
 from dpmacro.data.lerobot.compat import _embed_images, resume_dataset
 from dpmacro.data.lerobot.writer import DemonstrationWriter
@@ -27,7 +27,7 @@ def test_writing_is_silent_and_leaves_no_state(tmp_path, capfd, monkeypatch, bar
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("default", RuntimeWarning)
-            with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=True) as writer:
+            with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=True, classes=PHASES) as writer:
                 writer.add_episode(**next(random_episodes()), views=views)
             with DemonstrationWriter.extend(root) as writer:
                 writer.add_episode(**next(random_episodes()), views=views)
@@ -50,7 +50,7 @@ def test_resuming_reads_no_frames(recorded, tmp_path):
 def test_embedding_at_once_writes_what_lerobot_writes(recorded, tmp_path, monkeypatch):
     monkeypatch.setattr("dpmacro.data.lerobot.writer.embedding_at_once", nullcontext)
     root = tmp_path / "one_by_one"
-    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False) as writer:
+    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False, classes=PHASES) as writer:
         for episode in random_episodes():
             writer.add_episode(**episode)
     ours, theirs = (pq.ParquetFile(folder / "data/chunk-000/file-000.parquet") for folder in (recorded, root))
@@ -70,7 +70,7 @@ def test_lerobot_embeds_by_the_function_that_is_replaced(recorded, tmp_path, mon
 
     monkeypatch.setattr("dpmacro.data.lerobot.compat._embed_images", noted)
     episodes = list(random_episodes((4, 3)))
-    with DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view=view) as writer:
+    with DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view=view, classes=PHASES) as writer:
         for episode in episodes:
             views = np.zeros((len(episode["actions"]), 64, 96, 3), np.uint8) if view else None
             writer.add_episode(**episode, views=views)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from noise import ACTIONS, LENGTHS, WORLD, random_episodes
+from noise import ACTIONS, LENGTHS, PHASES, WORLD, random_episodes
 
 from dpmacro.data.demonstrations import DatasetError, Demonstrations
 from dpmacro.data.lerobot.writer import AVATAR, VIEW, DemonstrationWriter
@@ -42,7 +42,7 @@ def test_lerobot_reads_the_view(tmp_path):
     root = tmp_path / "viewed"
     episode = next(random_episodes((6,), shape=(24, 32, 3)))
     views = np.full((6, 240, 320, 3), 90, np.uint8)
-    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=True) as writer:
+    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=True, classes=PHASES) as writer:
         writer.add_episode(**episode, views=views)
     view = open_with_lerobot(root)[3][VIEW]
     assert view.shape == (3, 240, 320) and abs(float(view.mean()) - 90 / 255) < 0.03
@@ -55,7 +55,7 @@ def test_columns_of_truth_and_tasks_are_as_told(tmp_path):
         for index, episode in enumerate(random_episodes((4, 3))):
             n = len(episode["actions"])
             truth = {"subgoal": np.arange(n) % 2, "purpose": np.full(n, 2 - index)}
-            writer.add_episode(**episode | {"truth": truth}, task=f"task {index}")
+            writer.add_episode(**episode | {"truth": truth, "task": f"task {index}"})
     stored = open_with_lerobot(root)
     assert [stored[t]["task"] for t in (0, 3, 4, 6)] == ["task 0", "task 0", "task 1", "task 1"]
     assert [int(stored[t]["subgoal"]) for t in range(7)] == [0, 1, 0, 1, 0, 1, 0]
@@ -71,13 +71,14 @@ def test_nothing_but_the_dataset_is_left(recorded):
     assert sorted(path.name for path in recorded.iterdir()) == ["data", "meta"]
     assert json.loads((recorded / "meta/dpmacro.json").read_text()) == {
         "world": WORLD,
+        "symmetric": False,
         "truth": {"phase": ["before blue", "after blue"]},
     }
 
 
 @pytest.mark.parametrize(("error", "view"), [(KeyboardInterrupt, False), (RuntimeError, True)])
 def test_an_interrupted_recording_leaves_nothing(tmp_path, monkeypatch, error, view):
-    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view)
+    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view, classes=PHASES)
     views = {"views": np.zeros((12, 240, 320, 3), np.uint8)} if view else {}
     closed = []
     with pytest.raises(error), writer:
@@ -106,7 +107,7 @@ def test_an_interrupt_is_never_swallowed(tmp_path, monkeypatch, call):
         update(hasher, value)
 
     monkeypatch.setattr(Hasher, "update", interrupted)
-    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view=False)
+    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view=False, classes=PHASES)
     handler = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt), writer:
         for episode in random_episodes():
@@ -117,14 +118,14 @@ def test_an_interrupt_is_never_swallowed(tmp_path, monkeypatch, call):
 
 def test_episodes_may_be_added_in_any_thread(tmp_path):
     root = tmp_path / "d"
-    writer = DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False)
+    writer = DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False, classes=PHASES)
     with writer, ThreadPoolExecutor(1) as pool:
         pool.submit(writer.add_episode, **next(random_episodes())).result()
     assert len(Demonstrations.load(root).actions) == LENGTHS[0]
 
 
 def test_a_recording_without_episodes_leaves_nothing(tmp_path):
-    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, False)
+    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, False, classes=PHASES)
     with pytest.raises(ValueError, match="no episode was added"), writer:
         pass
     assert list(tmp_path.iterdir()) == []
@@ -134,9 +135,9 @@ def test_what_exists_is_never_overwritten(tmp_path):
     root = tmp_path / "mine"
     root.mkdir()
     with pytest.raises(DatasetError, match="mine: exists already; remove it"):
-        DemonstrationWriter.create(root, ACTIONS, 30, WORLD, False)
+        DemonstrationWriter.create(root, ACTIONS, 30, WORLD, False, classes=PHASES)
     root.rmdir()
-    writer = DemonstrationWriter.create(root, ACTIONS, 30, WORLD, False)
+    writer = DemonstrationWriter.create(root, ACTIONS, 30, WORLD, False, classes=PHASES)
     with pytest.raises(DatasetError, match="exists already"), writer:
         writer.add_episode(**next(random_episodes()))
         root.mkdir()
@@ -159,7 +160,7 @@ def test_what_exists_is_never_overwritten(tmp_path):
     ],
 )
 def test_what_is_no_episode_is_refused(tmp_path, changes, message):
-    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, False)
+    writer = DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, False, classes=PHASES)
     with pytest.raises(ValueError, match=message), writer:
         writer.add_episode(**(next(random_episodes()) | changes))
     assert list(tmp_path.iterdir()) == []
@@ -167,7 +168,7 @@ def test_what_is_no_episode_is_refused(tmp_path, changes, message):
 
 def test_one_action_is_refused(tmp_path):
     with pytest.raises(ValueError, match="at least two actions"):
-        DemonstrationWriter.create(tmp_path / "d", ("go",), 30, WORLD, False)
+        DemonstrationWriter.create(tmp_path / "d", ("go",), 30, WORLD, False, classes=PHASES)
 
 
 def contents(folder):
@@ -193,10 +194,10 @@ def test_extended_twice_is_as_recorded_in_one_go(tmp_path, view):
         for index, episode in enumerate(random_episodes())
     ]
     at_once, root = tmp_path / "at_once", tmp_path / "extended/d"
-    with DemonstrationWriter.create(at_once, ACTIONS, 30, WORLD, view) as writer:
+    with DemonstrationWriter.create(at_once, ACTIONS, 30, WORLD, view, classes=PHASES) as writer:
         for episode in episodes:
             writer.add_episode(**episode)
-    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view) as writer:
+    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view, classes=PHASES) as writer:
         writer.add_episode(**episodes[0])
     before = caches()
     for more in (episodes[1:2], episodes[2:]):
@@ -303,16 +304,12 @@ def test_an_extension_knows_what_the_dataset_is(tmp_path):
     classes = {"subgoal": ("a", "b"), "purpose": ("c", "d", "e")}
     episode = next(random_episodes((4,), shape=(24, 32, 3)))
     episode["truth"] = {"subgoal": np.arange(4) % 2, "purpose": np.full(4, 2)}
-    with DemonstrationWriter.create(root, ACTIONS, 10, WORLD, view=False, classes=classes) as writer:
+    about = WORLD, False, classes, True
+    with DemonstrationWriter.create(root, ACTIONS, 10, *about) as writer:
         writer.add_episode(**episode)
     with DemonstrationWriter.extend(root) as writer:
-        assert (writer.action_names, writer.fps, writer.world, writer.view, writer.classes) == (
-            ACTIONS,
-            10,
-            WORLD,
-            False,
-            classes,
-        )
+        assert (writer.action_names, writer.fps) == (ACTIONS, 10)
+        assert (writer.world, writer.view, writer.classes, writer.symmetric) == about
         writer.add_episode(**episode)
         for changes, message in (
             ({"images": np.zeros((4, 48, 64, 3), np.uint8)}, "avatar of 48x64: dataset .*d has 24x32, give"),
@@ -323,7 +320,8 @@ def test_an_extension_knows_what_the_dataset_is(tmp_path):
             with pytest.raises(ValueError, match=message) as raised:
                 writer.add_episode(**episode | changes)
             assert "\n" not in str(raised.value)
-    assert Demonstrations.load(root, truth="purpose").lengths.tolist() == [4, 4]
+    extended = Demonstrations.load(root, truth="purpose")
+    assert extended.lengths.tolist() == [4, 4] and extended.symmetric
 
 
 def forget(root, name):
