@@ -1,12 +1,15 @@
-"""Sequences whose hidden macro-actions are known by construction: digits labelled by rules that change."""
+"""Sequences whose hidden macro-actions are known by construction: an unseen rule for the actions changes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int64, UInt8
+from jaxtyping import Float32, Int64, UInt8
 
-__all__ = ["RULES", "Synthetic", "digits"]
+__all__ = ["RULES", "Digits", "TwoRules", "digits", "two_rules"]
+
+COLUMNS = 6  # of `two_rules`: the signal, one for each rule, and noise
+SIGNAL_FRAMES = 3  # that show a change
 
 # What action 1 says of a digit.
 RULES: dict[str, Callable[[Int64[np.ndarray, " frames"]], np.ndarray]] = {
@@ -18,7 +21,56 @@ RULES: dict[str, Callable[[Int64[np.ndarray, " frames"]], np.ndarray]] = {
 
 
 @dataclass(frozen=True)
-class Synthetic:
+class TwoRules:
+    """Trajectories, concatenated frame by frame; `lengths` says where each ends.
+
+    Attributes:
+        features: column 0 signals the change, columns 1 and 2 decide the actions, the others decide nothing.
+        actions: 0 or 1.
+        lengths: frames per trajectory.
+        truth: the macro-label, 0 while column 1 decides, 1 while column 2 does.
+    """
+
+    features: Float32[np.ndarray, "frames columns"]
+    actions: Int64[np.ndarray, " frames"]
+    lengths: Int64[np.ndarray, " trajectories"]
+    truth: Int64[np.ndarray, " frames"]
+
+
+def two_rules(trajectories: int = 20, length: int = 80, seed: int = 0) -> TwoRules:
+    """Trajectories whose actions follow one rule, then another, from a hidden frame on.
+
+    Features are independent and standard normal. The action is 1 where column 1 is above 0, and from the
+    change on where column 2 is. The change comes at a random frame of the middle half of the trajectory, and
+    adds 6 to column 0 of that frame and the two after it, as if something came into sight.
+
+    Args:
+        trajectories: 1 or more.
+        length: frames of every trajectory, 8 or more.
+        seed: 0 or more; the same seed gives the same trajectories.
+
+    Raises ValueError for anything else.
+    """
+    for name, value, least in (("trajectories", trajectories, 1), ("length", length, 8), ("seed", seed, 0)):
+        if value < least:
+            raise ValueError(f"{name} is {value}: give {least} or more")
+    rng = np.random.default_rng(seed)
+    changes = rng.integers(length // 4, length - length // 4, trajectories)[:, None]
+    features = rng.standard_normal((trajectories, length, COLUMNS), np.float32)
+    frames = np.arange(length)
+    truth = (frames >= changes).astype(np.int64)
+    features[:, :, 0] += 6 * ((frames >= changes) & (frames < changes + SIGNAL_FRAMES))
+    actions = np.where(truth == 0, features[:, :, 1] > 0, features[:, :, 2] > 0)
+    return TwoRules(
+        features=features.reshape(-1, COLUMNS),
+        actions=actions.reshape(-1).astype(np.int64),
+        lengths=np.full(trajectories, length, np.int64),
+        truth=truth.reshape(-1),
+    )
+
+
+@dataclass(frozen=True)
+class Digits:
     """Trajectories, concatenated frame by frame; `lengths` says where each ends.
 
     Attributes:
@@ -43,7 +95,7 @@ def digits(
     segments: int | None = None,
     min_segment: int = 45,
     trajectories: int = 1,
-) -> Synthetic:
+) -> Digits:
     """scikit-learn's 1,797 digits in random order, labelled by a hidden rule that changes at hidden points.
 
     The order of the digits, the rules of the segments and the change points are drawn by `seed`, in that
@@ -82,7 +134,7 @@ def digits(
     shown = data.target[order].astype(np.int64)
     held = np.stack([rule(shown) for rule in RULES.values()])
     ends = np.arange(1, trajectories + 1) * n // trajectories
-    return Synthetic(
+    return Digits(
         features=data.data[order].astype(np.uint8),
         actions=held[truth, np.arange(n)].astype(np.int64),
         lengths=np.diff(ends, prepend=0),

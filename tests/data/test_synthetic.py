@@ -1,4 +1,4 @@
-"""The digits: what was drawn accounts for every action, within the bounds that were asked for."""
+"""What was drawn accounts for every action, within the bounds that were asked for."""
 
 import sys
 from dataclasses import fields
@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.datasets import load_digits
 
-from dpmacro.data.synthetic import RULES, Synthetic, digits
+from dpmacro.data.synthetic import RULES, Digits, digits, two_rules
 
 ACTION_1 = ({1, 3, 5, 7, 9}, {5, 6, 7, 8, 9}, {0, 3, 6, 9}, {0, 1, 4, 5, 8, 9})  # of the rules, by hand
 
@@ -49,7 +49,7 @@ def test_every_digit_comes_once_with_its_own_pixels():
     assert ours.tolist() != theirs.tolist()
 
 
-def same(one: Synthetic, other: Synthetic) -> list[bool]:
+def same(one: Digits, other: Digits) -> list[bool]:
     return [np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)]
 
 
@@ -104,3 +104,43 @@ def test_without_scikit_learn_the_remedy_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn.datasets", None)
     with pytest.raises(ValueError, match="pip install scikit-learn"):
         digits(2, 0)
+
+
+@pytest.mark.parametrize(("trajectories", "length"), [(1, 8), (5, 9), (20, 80)])
+def test_two_rules_account_for_the_actions(trajectories, length):
+    drawn = two_rules(trajectories, length, seed=3)
+    assert drawn.features.shape == (trajectories * length, 6) and drawn.features.dtype == np.float32
+    assert drawn.lengths.tolist() == [length] * trajectories
+    for n, (features, rule) in enumerate(zip(drawn.features, drawn.truth, strict=True)):
+        assert drawn.actions[n] == (features[1 + rule] > 0)
+    for labels in drawn.truth.reshape(trajectories, length):
+        (change,) = np.flatnonzero(np.diff(labels)) + 1
+        assert labels[0] == 0 and length // 4 <= change < length - length // 4
+
+
+def test_the_change_of_two_rules_can_be_seen():
+    drawn = two_rules(200, 20, seed=1)
+    signal, truth = drawn.features[:, 0].reshape(200, 20), drawn.truth.reshape(200, 20)
+    shown = np.take_along_axis(signal, truth.argmax(1)[:, None] + np.arange(3), 1)
+    assert abs(shown.mean() - 6) < 0.3
+    assert abs((signal.sum() - shown.sum()) / (200 * 17)) < 0.1
+    assert abs(drawn.features[:, 1:].mean()) < 0.1
+
+
+def test_the_seed_of_two_rules_repeats_them():
+    first, same, other = two_rules(seed=4), two_rules(seed=4), two_rules(seed=5)
+    assert all(np.array_equal(value, vars(same)[name]) for name, value in vars(first).items())
+    assert not np.array_equal(first.features, other.features)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"trajectories": 0}, "trajectories is 0: give 1 or more"),
+        ({"length": 7}, "length is 7: give 8 or more"),
+        ({"seed": -1}, "seed is -1: give 0 or more"),
+    ],
+)
+def test_rules_that_cannot_be_drawn_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        two_rules(**options)
