@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.boosting.loop import MARGIN_LIMIT, TRIES, Boosting, class_targets, exponentials_of
+from dpmacro.boosting.loop import TRIES, Boosting
+from dpmacro.boosting.losses import class_targets
 from dpmacro.features.levels import SortedLevels
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
@@ -66,14 +67,6 @@ def test_a_strong_classifier_may_end_after_fewer_rounds_problem_by_problem():
     torch.testing.assert_close(boosting.strong(kept).scores(frames), expected)
 
 
-def test_losses_are_exponentials_up_to_the_margin_limit():
-    scores = 3 * torch.randn(80, 2, 3, generator=torch.Generator().manual_seed(0))
-    targets = class_targets(torch.arange(80) % 3, 3)
-    torch.testing.assert_close(exponentials_of(scores, targets), torch.exp(-(2.0 * targets - 1) * scores))
-    far = exponentials_of(torch.full((80, 1, 3), 1000.0), targets).sum(2)
-    torch.testing.assert_close(far, (2 * torch.tensor(MARGIN_LIMIT).exp()).expand(80, 1))
-
-
 def test_a_problem_in_which_nothing_beats_chance_ends_and_the_others_go_on():
     levels = torch.tensor([[0, 0, 9, 9]], dtype=torch.uint8)
     targets = torch.tensor([[True, False], [False, False], [True, True], [False, True]])[:, :, None]
@@ -85,6 +78,58 @@ def test_a_problem_in_which_nothing_beats_chance_ends_and_the_others_go_on():
     scores = boosting.strong().scores(Frames(levels))
     torch.testing.assert_close(scores, boosting.scores)
     assert float(scores[3, 1]) > 0 > float(scores[0, 1])
+
+
+def two_halves():
+    """Frames of which the first four say nothing, the last four everything: column 0 is their class."""
+    levels = torch.tensor([[0, 0, 0, 0, 0, 0, 9, 9]], dtype=torch.uint8)
+    classes = torch.tensor([0, 1, 0, 1, 0, 0, 1, 1])
+    first = torch.tensor([1.0, 1, 1, 1, 0, 0, 0, 0])[:, None]
+    learner = StumpLearner(SortedLevels.build(levels))
+    return Boosting(learner, class_targets(classes, 2), 1, 0.5, torch.Generator()), first
+
+
+def loss_of(boosting, base):
+    """The exponential loss a frame; 2 where nothing was learned of two classes."""
+    return float((base * boosting.losses()).sum() / base.sum())
+
+
+def test_a_problem_that_ended_comes_back_when_it_is_given_other_frames():
+    boosting, first = two_halves()
+    for _ in range(TRIES + 2):
+        boosting.round(first)
+    assert boosting.ended.tolist() == [True] and loss_of(boosting, 1 - first) == 2.0
+    for _ in range(10):
+        boosting.round(1 - first)
+    assert boosting.ended.tolist() == [False] and loss_of(boosting, 1 - first) < 0.1
+
+
+def test_a_problem_that_ended_stays_ended_while_its_weights_are_the_same():
+    boosting, first = two_halves()
+    told = [boosting.round(first.clone()).tolist() for _ in range(2 * TRIES + 2)]
+    assert told == [[0] if number == TRIES else [] for number in range(1, 2 * TRIES + 3)], "it ends once"
+    assert boosting.ended.tolist() == [True] and not boosting.scores.any()
+
+
+def test_other_weights_revive_only_the_problem_that_they_belong_to():
+    levels = torch.zeros(1, 4, dtype=torch.uint8)
+    targets = class_targets(torch.tensor([0, 1, 0, 1]), 2)
+    boosting = Boosting(StumpLearner(SortedLevels.build(levels)), targets, 2, 0.5, torch.Generator())
+    base = torch.ones(4, 2)
+    for _ in range(TRIES):
+        boosting.round(base)
+    assert boosting.ended.tolist() == [True, True]
+    changed = base.clone()
+    changed[:2, 1] = 2
+    boosting.round(changed)
+    assert boosting.ended.tolist() == [True, False]
+
+
+def test_other_weights_give_a_problem_all_its_tries_again():
+    boosting, first = two_halves()
+    for weight in range(1, 5):
+        told = [boosting.round(weight * first).tolist() for _ in range(TRIES)]
+        assert told == [[]] * (TRIES - 1) + [[0]]
 
 
 def test_a_problem_without_frames_waits_for_some():
