@@ -25,18 +25,18 @@ LEARNERS = ("stumps", "convnet")
 
 @dataclass(frozen=True)
 class DatasetOptions:
-    """Which demonstrations."""
+    """The demonstrations to learn from."""
 
     root: Path | None = None
-    """Folder of a LeRobot dataset."""
+    """Folder of the LeRobot dataset that holds the demonstrations."""
     episodes: list[int] | None = None
-    """Episodes to use; all by default."""
+    """Episodes of the dataset to learn from, like '[0,1,2]'; by default all."""
     camera: str | None = None
-    """Image feature to learn from, where the dataset has several."""
+    """Name of the image feature to learn from; needed where the dataset stores several."""
     image_size: tuple[int, int] | None = None
-    """Width and height to shrink images to, like '[128,96]'; by default they stay as they are stored."""
+    """Width and height that images are shrunk to, like '[128,96]'; by default the stored size."""
     truth: str | None = None
-    """Integer column with the true macro-labels, for metrics only; "none" or by default the recorded one."""
+    """Column of true macro-labels, for metrics only; by default the one recorded, and none for no truth."""
     symmetric: bool | None = None
     """Whether the world and its mirror image are alike; by default as meta/dpmacro.json says, else false."""
 
@@ -47,14 +47,14 @@ class DatasetOptions:
 
 @dataclass(frozen=True)
 class ConvNetOptions:
-    """Tiny convolutional networks as weak learners."""
+    """Small convolutional networks as weak learners."""
 
     rounds: int = 8
-    """Boosting rounds of the networks."""
+    """Boosting rounds of a classifier whose weak learners are networks."""
     shrinkage: float = 0.5
-    """Factor on every network, above 0 and up to 1."""
+    """Factor on the votes of every network, above 0 and up to 1; less needs more rounds."""
     epochs: int = 1
-    """Passes over the frames in every round."""
+    """Passes over the training frames when a network is trained."""
 
     def __post_init__(self) -> None:
         for name in ("rounds", "epochs"):
@@ -68,52 +68,52 @@ class ConvNetOptions:
 
 @dataclass(frozen=True)
 class PlannerOptions:
-    """What is trained, and how."""
+    """The model and how it is trained."""
 
     recipe: str = "dpmacro"
-    """dpmacro, or paper for the method of the paper alone (docs/options.md)."""
+    """dpmacro, or paper for the method of the DPBoost paper without this package's additions."""
     type: str = "dpboost"
-    """dpboost, or baseline for a single classifier."""
+    """dpboost, or baseline for a single macro-action without switch functions, like macros=1."""
     macros: int | str = 2
-    """Macro-actions Q, or auto to try 1 to max_macros of them; the baseline has 1."""
+    """Number of macro-actions Q; auto chooses between 1 and max_macros by left-out data."""
     max_macros: int = 4
-    """The most macro-actions that auto tries."""
+    """Largest number of macro-actions that macros=auto tries."""
     max_transitions: int | None = None
-    """Bound S on transitions in a demonstration; by default Q - 1, and with auto macros twice that, too."""
+    """Most changes of macro-action in a demonstration, S; by default Q - 1 (auto tries 2Q - 2, too)."""
     learner: str = "stumps"
-    """Weak learners of the strong classifiers, stumps or convnet."""
+    """Weak learners of the macro-actions' action classifiers, either stumps or convnet."""
     rounds: int = 300
-    """Boosting rounds of the strong classifiers; those of networks are convnet.rounds."""
+    """Boosting rounds of the action classifiers where their weak learners are stumps."""
     shrinkage: float = 0.1
-    """Factor on every weak hypothesis, above 0 and up to 1."""
+    """Factor on the votes of every stump of an action classifier, above 0 and up to 1."""
     switch_weight: float = 1.0
-    """What recognising the changes counts beside the actions when demonstrations are cut; 0 for nothing."""
+    """Weight of the switch functions' loss beside the actions' loss in the segmentation; 0 leaves it out."""
     restarts: int = 32
-    """Initial segmentations."""
+    """Initial segmentations that the search for macro-actions starts from."""
     features: str = "rectangles"
-    """rectangles, or pixels for the paper's."""
+    """Feature columns, either rectangles (sums over random ones) or pixels (one by one, as in the paper)."""
     rectangles: int = 4096
-    """How many rectangles are drawn."""
+    """Number of random rectangles, where the features are rectangles."""
     drawn: int = 0
-    """Random columns that a round of stumps searches instead of all, faster and not exact; 0 for all."""
+    """Random columns searched for the best stump in a round; 0 searches all, exactly but more slowly."""
     reuse: int = 1
-    """Rounds that a search serves; those after it search its best columns alone, or its draw, faster."""
+    """Rounds that one search of all columns serves; those after it search its best columns only."""
     memory_limit: float = 6.0
-    """GiB that training may take; where sorted columns do not fit, a round searches some of them."""
+    """GiB of memory that training may take; where columns exceed it, rounds search random ones."""
     early_stopping: bool = False
-    """Whether left-out trajectories decide how many of the rounds are kept."""
+    """Whether loss on left-out demonstrations decides how many boosting rounds are kept."""
     convnet: ConvNetOptions = field(default_factory=ConvNetOptions)
-    """Networks, where a learner is convnet."""
+    """Options of the networks, where a learner is convnet."""
     switch_learner: str = "stumps"
-    """Weak learners of the switch functions, likewise."""
+    """Weak learners of the switch functions, either stumps or convnet."""
     switch_window: int = 3
-    """J, the frames from a change on that are its positive examples."""
+    """Frames from each change on that are positive examples of its switch function, J in the paper."""
     switch_rounds: int = 400
-    """Boosting rounds of the switch functions."""
+    """Boosting rounds of the switch functions where their weak learners are stumps."""
     switch_drawn: int = 32
-    """Random columns that a round of stumps searches for them."""
+    """Random columns searched for each stump of a switch function; 0 searches all."""
     switch_shrinkage: float = 0.2
-    """Factor on every weak hypothesis of a switch function."""
+    """Factor on the votes of every stump of a switch function, above 0 and up to 1."""
     recovery: bool = False
     """Whether runs of the saved policy break out of loops by replaying actions of the demonstrations."""
 
@@ -191,20 +191,20 @@ def _take_from_paper(options: PlannerOptions) -> None:
 
 @dataclass(frozen=True)
 class DaggerOptions:
-    """Demonstrations of what the planner itself runs into, with the actions of the world's teacher."""
+    """DAgger (Ross et al. 2011), which adds the policy's own runs, labelled by the world's teacher."""
 
     iterations: int = 0
-    """How often to gather them and train again."""
+    """Times that the policy runs, the world's teacher labels its frames, and training repeats."""
     episodes: int = 20
-    """Runs to gather in every iteration."""
+    """Runs of the policy that every DAgger iteration adds to the demonstrations."""
     seed: int = 20000
-    """Seed of the first of those runs; the others follow it."""
+    """World seed of the first added run; the following runs take the following seeds."""
     validation_episodes: int = 50
-    """Runs whose successes say which iteration to keep."""
+    """Runs of every iteration's policy whose success rate decides which policy is kept."""
     validation_seed: int = 5000
-    """Seed of the first of those; the others follow it."""
+    """World seed of the first validation run; the following runs take the following seeds."""
     workers: int = 2
-    """Processes that share the runs; the results do not depend on it."""
+    """Processes that share the runs; results do not depend on their number."""
 
     def __post_init__(self) -> None:
         least = {"iterations": 0, "seed": 0, "validation_seed": 0}
@@ -228,13 +228,13 @@ class TrainOptions:
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     dagger: DaggerOptions = field(default_factory=DaggerOptions)
     output_dir: Path | None = None
-    """Folder of the run; by default outputs/train/<date>/<time>_<job_name>."""
+    """Folder that the run is written to; by default outputs/train/<date>/<time>_<job_name>."""
     job_name: str | None = None
-    """Name of the run; by default the planner's type."""
+    """Name of the run in its default folder; by default the value of planner.type."""
     seed: int = 0
-    """Seed of every draw."""
+    """Seed of everything random in training."""
     device: str = "cpu"
-    """Where tensors live: cpu, cuda, cuda:1, ..."""
+    """PyTorch device that training runs on, like cpu, cuda or cuda:1."""
 
     def __post_init__(self) -> None:
         if self.dataset.root is None:
