@@ -172,7 +172,7 @@ PAPER = {
     "shrinkage": 1.0,
     "switch_shrinkage": 1.0,
     "switch_weight": 0.0,
-    "switch_drawn": 0,
+    "switch_drawn": 512,
     "early_stopping": False,
     "recovery": False,
 }
@@ -234,7 +234,7 @@ class TrainOptions:
     seed: int = 0
     """Seed of everything random in training."""
     device: str = "cpu"
-    """PyTorch device that training runs on, like cpu, cuda or cuda:1."""
+    """PyTorch device that training runs on, like cpu or cuda."""
 
     def __post_init__(self) -> None:
         if self.dataset.root is None:
