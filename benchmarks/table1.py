@@ -3,6 +3,7 @@
     python benchmarks/table1.py --report=docs/results.md
     python benchmarks/table1.py --parts='[main]' --flags='[random]' --planners='[teacher, dpboost-2]'
     python benchmarks/table1.py --quick=true
+    python benchmarks/table1.py --worlds=fresh --flags='[random]' --report=docs/results.md
 
 Records demonstrations, trains and tests whatever is not there yet, so that an interrupted run goes on where
 it was. Rows are written after every cell to `<output_dir>.json`; those of other cells stay.
@@ -21,19 +22,19 @@ from typing import Any
 
 from report import header
 from table_cells import (
-    DAGGER_WORLDS,
     FLAGS,
     PARTS,
     PLANNERS,
     SEED_WORLDS,
-    TEST_WORLDS,
+    TEST,
     TRAIN_SEEDS,
+    WORLDS,
     Cell,
     Key,
     cells,
     demonstrations_needed,
 )
-from table_report import main_table, write_report
+from table_report import main_table, marks, write_report
 from table_rows import Row, as_json
 from table_runs import Runs, work
 from tqdm import tqdm
@@ -54,7 +55,9 @@ class TableOptions:
     flags: list[str] = field(default_factory=lambda: list(FLAGS))
     """random, fixed; curve and paper have random flags."""
     planners: list[str] = field(default_factory=lambda: list(PLANNERS))
-    """teacher, baseline, dpboost-2, dpboost-4, dpboost-2-dagger."""
+    """teacher, baseline, dpboost-2, dpboost-2-recovery, dpboost-4, dpboost-2-dagger, paper."""
+    worlds: str = TEST
+    """test: seeds from 10000 on; fresh: 40000 to 40099, which no decision was taken by, main table only."""
     train_seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
     """Training seeds, each with demonstrations of its own; curve and paper have the first."""
     demonstrations: int = 20
@@ -62,17 +65,21 @@ class TableOptions:
     curve: list[int] = field(default_factory=lambda: [5, 10, 20, 50, 100])
     """Numbers of demonstrations on the learning curve."""
     episodes: int = 200
-    """Runs of every cell; curve and paper have at most 100. A row that has more already keeps them."""
+    """Runs of every cell; curve, paper and fresh worlds have at most 100. A row keeps those that it has."""
     quick: bool = False
     """Random flags, one training seed, 30 episodes, main table only; rows go to <output_dir>_quick.json."""
     workers: int = 2
     """Processes that record and run; the results do not depend on it."""
-    output_dir: Path = Path("outputs/table1")
-    """Folder of demonstrations, policies and runs."""
+    threads: int = 1
+    """Threads of every training; more than one only where nothing else runs beside it."""
+    output_dir: Path | None = None
+    """Folder of demonstrations, policies and runs; by default outputs/table1, or outputs/table1_fresh."""
     report: Path | None = None
-    """Markdown file to put the results into, between its table marks; picture and rows go beside it."""
+    """Markdown file for the results, between its marks of the worlds; picture and rows go beside it."""
 
     def __post_init__(self) -> None:
+        if self.worlds not in WORLDS:
+            raise ValueError(f"worlds is {self.worlds!r}: choose from {', '.join(WORLDS)}")
         for name, known in (("parts", PARTS), ("flags", FLAGS), ("planners", PLANNERS)):
             for value in getattr(self, name):
                 if value not in known:
@@ -85,7 +92,12 @@ class TableOptions:
         for name in ("parts", "flags", "planners", "train_seeds", "curve"):
             if not getattr(self, name):
                 raise ValueError(f"{name} is empty: give one at least")
-        bounds = {"demonstrations": SEED_WORLDS, "episodes": DAGGER_WORLDS - TEST_WORLDS, "workers": None}
+        bounds = {
+            "demonstrations": SEED_WORLDS,
+            "episodes": len(WORLDS[TEST]),
+            "workers": None,
+            "threads": None,
+        }
         for name, most in bounds.items():
             _check(f"{name} is", getattr(self, name), most)
         for number in self.curve:
@@ -97,28 +109,39 @@ class TableOptions:
             )
 
     @property
+    def folder(self) -> Path:
+        """The folder that is filled."""
+        return self.output_dir or Path("outputs") / (
+            "table1" if self.worlds == TEST else f"table1_{self.worlds}"
+        )
+
+    @property
     def rows(self) -> Path:
         """The file of rows; a quick run has one of its own."""
-        return self.output_dir.with_name(self.output_dir.name + ("_quick.json" if self.quick else ".json"))
+        return self.folder.with_name(self.folder.name + ("_quick.json" if self.quick else ".json"))
 
     @property
     def plan(self) -> list[Cell]:
         """The cells."""
+        episodes = min(self.episodes, len(WORLDS[self.worlds]))
         if self.quick:
             planners = [name for name in self.planners if not PLANNERS[name].slow]
-            episodes = min(self.episodes, QUICK_EPISODES)
-            return cells(
+            episodes = min(episodes, QUICK_EPISODES)
+            found = cells(
                 ["main"], ["random"], planners, self.train_seeds[:1], self.demonstrations, [], episodes
             )
-        return cells(
-            self.parts,
-            self.flags,
-            self.planners,
-            self.train_seeds,
-            self.demonstrations,
-            self.curve,
-            self.episodes,
-        )
+        else:
+            parts = [part for part in self.parts if part == "main" or self.worlds == TEST]
+            found = cells(
+                parts,
+                self.flags,
+                self.planners,
+                self.train_seeds,
+                self.demonstrations,
+                self.curve,
+                episodes,
+            )
+        return [replace(cell, role=self.worlds) for cell in found]
 
 
 def _check(name: str, value: int, most: int | None) -> None:
@@ -134,15 +157,15 @@ def main(options: TableOptions) -> None:
     print("\n".join(lines), flush=True)
     origin = {"date": datetime.now().isoformat(timespec="seconds")}
     origin |= dict(line.split(maxsplit=1) for line in lines)
-    rows = read_rows(options.rows)
+    rows = read_rows(options.rows, options.worlds)
     plan = [with_all_runs(cell, rows) for cell in options.plan]
     needed = demonstrations_needed(plan)
     try:
         with tqdm(total=work(plan, needed), unit="episode", dynamic_ncols=True) as bar:
-            runs = Runs(options.output_dir, options.workers, origin["commit"], needed, bar)
+            runs = Runs(options.folder, options.workers, options.threads, origin["commit"], needed, bar)
             for cell in plan:
                 made = row(cell, *runs.outcomes(cell))
-                rows = read_rows(options.rows) | {cell.key: made}
+                rows = read_rows(options.rows, options.worlds) | {cell.key: made}
                 with replacing(options.rows) as path:
                     path.write_text(as_json({**origin, "rows": list(rows.values())}))
     finally:
@@ -151,7 +174,7 @@ def main(options: TableOptions) -> None:
             print(f"rows     {options.rows}")
     if options.report is not None:
         found = {**origin, "rows": list(rows.values())}
-        write_report(found, options.demonstrations, options.report, options.rows.name)
+        write_report(found, options.demonstrations, options.report, options.rows.name, marks(options.worlds))
         print(f"report   {options.report}")
 
 
@@ -182,8 +205,11 @@ def row(cell: Cell, outcomes: dict[int, str], stamps: list[dict[str, Any]]) -> R
     }
 
 
-def read_rows(path: Path) -> dict[Key, Row]:
-    """The rows of every cell in the file, if it is there. Raises ValueError where it holds something else."""
+def read_rows(path: Path, worlds: str = TEST) -> dict[Key, Row]:
+    """The rows of every cell in the file, if it is there.
+
+    Raises ValueError where it holds something else, such as runs in worlds of another role.
+    """
     if not path.exists():
         return {}
     try:
@@ -191,6 +217,8 @@ def read_rows(path: Path) -> dict[Key, Row]:
         for row in found:
             if row["planner"] not in PLANNERS or row["n"] != len(row["per_episode"]):
                 raise ValueError(f"a row of {row['planner']} that is none")
+            if not set(row["seeds"]) <= set(WORLDS[worlds]):
+                raise ValueError(f"a row of {row['planner']} in others than {worlds} worlds")
         return {
             (r["flags"], r["planner"], r["demonstrations"], r["train_seed"], tuple(r["render_size"])): r
             for r in found

@@ -1,11 +1,12 @@
 """The cells of Table I: what each planner is, the demonstrations it learns from, the worlds it is tested in.
 
 Worlds by seed: training seed k learns from 1000 k on, validation has 5000 on, test 10000 on, DAgger
-20000 + 1000 k on. One rule for every planner: nothing is chosen by planner, cell or test world.
+20000 + 1000 k on, and 40000 to 40099 are fresh: no decision on the method was taken by them. One rule for
+every planner: nothing is chosen by planner, cell or test world.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 from dpmacro.worlds.two_flags.env import PIXELS, TwoFlagsConfig
@@ -14,14 +15,16 @@ __all__ = [
     "DAGGER_WORLDS",
     "DEFAULT_SIZE",
     "FLAGS",
+    "FRESH",
     "PAPER_SIZE",
     "PARTS",
     "PLANNERS",
     "SEED_WORLDS",
     "SWEEP",
     "TEACHER",
-    "TEST_WORLDS",
+    "TEST",
     "TRAIN_SEEDS",
+    "WORLDS",
     "Cell",
     "Key",
     "cells",
@@ -31,8 +34,10 @@ __all__ = [
 FLAGS = ("random", "fixed")
 TEACHER = "teacher"
 PARTS = ("main", "curve", "paper")
-TEST_WORLDS = 10_000
+TEST = "test"
+FRESH = "fresh"
 DAGGER_WORLDS = 20_000
+WORLDS = {TEST: range(10_000, DAGGER_WORLDS), FRESH: range(40_000, 40_100)}  # those that planners run in
 SEED_WORLDS = 1_000  # of a training seed
 TRAIN_SEEDS = range(5)  # beyond them lie the validation worlds
 DEFAULT_SIZE: tuple[int, int] = TwoFlagsConfig().render_size
@@ -49,40 +54,68 @@ class Planner:
     Attributes:
         title: for people.
         options: of train.py; "{worlds}" stands for the first of DAgger's worlds. The teacher has none.
+        policy: the planner whose trained policy it runs, where that is another's; it has no `options` then.
+        run_options: of eval.py, beside the policy.
         flags: of its cells in the main table.
-        slow: to train, so that it has a cell of the first training seed alone, and none in a quick table.
+        slow: to train, so that it has no cell in a quick table.
+        once: whether it has a cell of the first training seed alone.
         swept: whether it is on the learning curve and in the paper's rendering, too.
         paper: flags -> the paper's success rate in percent, where known.
     """
 
     title: str
     options: tuple[str, ...]
+    policy: str | None = None
+    run_options: tuple[str, ...] = ()
     flags: tuple[str, ...] = FLAGS
     slow: bool = False
+    once: bool = False
     swept: bool = True
     paper: Mapping[str, int] = field(default_factory=dict)
 
 
-COMMON = ("--planner.reuse=5",)  # several times faster, as accurate (README, How fast)
-TWO = ("--planner.macros=2",)
+FAST = ("--planner.reuse=5",)  # several times faster, as accurate (README, How fast)
+TWO = (*FAST, "--planner.macros=2")
 DAGGER = ("--dagger.iterations=5", "--dagger.seed={worlds}")
 PLANNERS = {
     TEACHER: Planner("teacher", (), swept=False, paper={"random": 72}),
-    "baseline": Planner("baseline, one classifier", ("--planner.type=baseline",), paper={"fixed": 92}),
+    "baseline": Planner("baseline, one classifier", (*FAST, "--planner.type=baseline"), paper={"fixed": 92}),
     "dpboost-2": Planner("DPBoost, 2 macro-actions", TWO, paper={"fixed": 92}),
+    "dpboost-2-recovery": Planner(
+        "DPBoost, 2 macro-actions, recovery",
+        (),
+        policy="dpboost-2",
+        run_options=("--policy.recovery=true",),
+        swept=False,
+    ),
     # Not swept: most of its policies are those of dpboost-2.
     "dpboost-4": Planner(
-        "DPBoost, 4 macro-actions", ("--planner.macros=4",), swept=False, paper={"fixed": 68}
+        "DPBoost, 4 macro-actions", (*FAST, "--planner.macros=4"), swept=False, paper={"fixed": 68}
     ),
     "dpboost-2-dagger": Planner(
-        "DPBoost, 2 macro-actions, DAgger", (*TWO, *DAGGER), ("random",), slow=True, swept=False
+        "DPBoost, 2 macro-actions, DAgger",
+        (*TWO, *DAGGER),
+        flags=("random",),
+        slow=True,
+        once=True,
+        swept=False,
+    ),
+    # Exact, as the paper's search is.
+    "paper": Planner(
+        "the paper's recipe, 2 macro-actions",
+        ("--planner.recipe=paper", "--planner.macros=2"),
+        slow=True,
+        swept=False,
     ),
 }
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One planner, trained once, in test worlds. The teacher has 0 demonstrations and no training seed."""
+    """One planner, trained once, in worlds of one role, the first of them.
+
+    The teacher has 0 demonstrations and no training seed.
+    """
 
     flags: str
     planner: str
@@ -90,23 +123,33 @@ class Cell:
     train_seed: int | None
     episodes: int
     render_size: tuple[int, int] = DEFAULT_SIZE
+    role: str = TEST
 
     @property
     def key(self) -> Key:
-        """What tells cells apart: all but how often it is tested."""
+        """What tells the cells of a table apart: all but its worlds."""
         return self.flags, self.planner, self.demonstrations, self.train_seed, self.render_size
 
     @property
     def name(self) -> str:
-        """Of its folders, such as random_0_dpboost-2_20."""
+        """For people, such as random_0_dpboost-2_20."""
         if self.train_seed is None:
             return f"{self.flags}_{self.planner}"
         return f"{self.flags}_{self.train_seed}_{self.planner}_{self.demonstrations}{self._size}"
 
     @property
+    def policy(self) -> str:
+        """The name of the cell that trains what it runs, most often its own; of folders, too."""
+        return replace(self, planner=self._trained).name
+
+    @property
     def data(self) -> str:
         """Of its dataset, which planners share, such as random_0."""
         return f"{self.flags}_{self.train_seed}{self._size}"
+
+    @property
+    def _trained(self) -> str:
+        return PLANNERS[self.planner].policy or self.planner
 
     @property
     def _size(self) -> str:
@@ -115,7 +158,7 @@ class Cell:
     @property
     def worlds(self) -> range:
         """Seeds of the worlds it is tested in."""
-        return range(TEST_WORLDS, TEST_WORLDS + self.episodes)
+        return WORLDS[self.role][: self.episodes]
 
     @property
     def record_options(self) -> list[str]:
@@ -134,8 +177,7 @@ class Cell:
         assert self.train_seed is not None, "the teacher is not trained"
         worlds = DAGGER_WORLDS + SEED_WORLDS * self.train_seed
         return [
-            *COMMON,
-            *(option.format(worlds=worlds) for option in PLANNERS[self.planner].options),
+            *(option.format(worlds=worlds) for option in PLANNERS[self._trained].options),
             f"--dataset.episodes=[{','.join(map(str, range(self.demonstrations)))}]",
             f"--seed={self.train_seed}",
         ]
@@ -172,7 +214,7 @@ def cells(
         found += [
             Cell(where, name, demonstrations, seed, episodes)
             for seed, where, name in product(train_seeds, flags, learned)
-            if where in PLANNERS[name].flags and (seed == first or not PLANNERS[name].slow)
+            if where in PLANNERS[name].flags and (seed == first or not PLANNERS[name].once)
         ]
     if "curve" in parts:
         found += [Cell("random", name, count, first, few) for count, name in product(curve, swept)]

@@ -51,8 +51,10 @@ class Job:
     episodes: int | None = None
 
 
-def run(job: Job, commit: str, moved: Callable[[int], None]) -> dict[str, Any]:
-    """Run it from start to end; returns the stamp. `moved` is told how many episodes are done.
+def run(job: Job, commit: str, threads: int, moved: Callable[[int], None]) -> dict[str, Any]:
+    """Run it from start to end, with so many threads; returns the stamp.
+
+    `moved` is told how many episodes are done.
 
     Raises ChildProcessError with one line where it fails. An interrupt ends the script, too, without a stamp.
     """
@@ -66,6 +68,7 @@ def run(job: Job, commit: str, moved: Callable[[int], None]) -> dict[str, Any]:
             [sys.executable, str(ROOT / job.script), *command[1:]],
             stdout=output,
             stderr=subprocess.STDOUT,
+            env={**os.environ, "OMP_NUM_THREADS": str(threads)},
             start_new_session=True,  # so that `_end` alone interrupts it, once
         )
         try:

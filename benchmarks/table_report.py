@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from report import inserted
-from table_cells import DEFAULT_SIZE, FLAGS, PAPER_SIZE, PLANNERS, SWEEP, TEACHER
+from table_cells import DEFAULT_SIZE, FLAGS, PAPER_SIZE, PLANNERS, SWEEP, TEACHER, TEST
 from table_rows import Row, as_json, count, curve_points, groups, paired, pooled, sweep_seed
 
 from dpmacro import figures
@@ -14,18 +14,21 @@ from dpmacro.utils.files import replacing
 from dpmacro.worlds.base import SUCCESS
 from dpmacro.worlds.two_flags.diagnosis import OUTCOMES
 
-__all__ = ["MARKS", "main_table", "report", "write_report"]
+__all__ = ["main_table", "marks", "report", "write_report"]
 
-MARKS = ("<!-- table -->", "<!-- /table -->")
 PICTURE = "learning_curve.png"
 PAIRS = (
     ("dpboost-2", "baseline"),
     ("dpboost-4", "baseline"),
     ("dpboost-4", "dpboost-2"),
+    ("dpboost-2", "paper"),
     ("dpboost-2", TEACHER),
+    ("dpboost-2-recovery", "dpboost-2"),
+    ("dpboost-2-recovery", TEACHER),
     ("dpboost-4", TEACHER),
     ("dpboost-2-dagger", "dpboost-2"),
     ("dpboost-2-dagger", TEACHER),
+    ("paper", "baseline"),
 )
 POOLED = """\
 Successes are pooled over training seeds. The 95% Wilson interval takes all runs for independent, which those
@@ -36,14 +39,22 @@ A pair is two runs of the same training seed in the same world; the teacher, whi
 in the pair of every training seed. p: exact two-sided McNemar test, which takes pairs for independent."""
 
 
-def write_report(found: Row, demonstrations: int, path: Path, rows: str) -> None:
-    """Put `report` between the marks of a markdown file (new if need be), picture and rows beside it.
+def marks(worlds: str) -> tuple[str, str]:
+    """What stands before and after the results of a role's worlds in a report."""
+    section = "table" if worlds == TEST else worlds
+    return f"<!-- {section} -->", f"<!-- /{section} -->"
+
+
+def write_report(
+    found: Row, demonstrations: int, path: Path, rows: str, between: tuple[str, str] = marks(TEST)
+) -> None:
+    """Put `report` between two marks of a markdown file (new if need be), picture and rows beside it.
 
     `rows` is the name of the file of rows.
 
     Raises ValueError where the file has one mark without the other.
     """
-    text = inserted(path.read_text() if path.exists() else "", report(found, demonstrations, rows), MARKS)
+    text = inserted(path.read_text() if path.exists() else "", report(found, demonstrations, rows), between)
     seed = sweep_seed(found["rows"])
     points = curve_points(found["rows"], seed)
     if points:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from table_cells import Cell
+from table_cells import PLANNERS, Cell
 from table_jobs import Job, forget, read_stamp, run
 from tqdm import tqdm
 
@@ -36,6 +36,7 @@ class Runs:
     Attributes:
         folder: holds data/, train/ and eval/.
         workers: processes that record and run.
+        threads: of every script.
         commit: of the code, for stamps.
         needed: dataset -> its demonstrations.
         bar: moves on by an episode for every run and for every demonstration recorded or trained on.
@@ -43,6 +44,7 @@ class Runs:
 
     folder: Path
     workers: int
+    threads: int
     commit: str
     needed: dict[str, int]
     bar: tqdm
@@ -78,17 +80,17 @@ class Runs:
         self.recorded.add(cell.data)
 
     def _train(self, cell: Cell) -> dict[str, Any]:
-        folder, options = self.folder / "train" / cell.name, cell.train_options
+        folder, options = self.folder / "train" / cell.policy, cell.train_options
         stamp = read_stamp(folder)
         if stamp is not None and stamp["options"] == options:
             self.bar.update(cell.demonstrations)
             return stamp
         if stamp is not None:
-            tqdm.write(f"{cell.name} was trained by other options ({stamp['command']}): training it anew")
-        shutil.rmtree(self._runs(cell), ignore_errors=True)  # of the policy that goes
+            tqdm.write(f"{cell.policy} was trained by other options ({stamp['command']}): training it anew")
+        shutil.rmtree(self.folder / "eval" / cell.policy, ignore_errors=True)  # runs of the policy that goes
         forget(folder)
         others = (f"--dataset.root={self.folder / 'data' / cell.data}", f"--output_dir={folder}")
-        stamp = self._run(Job(f"training {cell.name}", "train.py", folder, tuple(options), others))
+        stamp = self._run(Job(f"training {cell.policy}", "train.py", folder, tuple(options), others))
         self.bar.update(cell.demonstrations)
         return stamp
 
@@ -100,10 +102,10 @@ class Runs:
             planner = ["--policy.type=teacher", f"--world.flags={cell.flags}"]
             planner += ["--world.render_size=[{},{}]".format(*PIXELS)]
         else:
-            policy = self.folder / "train" / cell.name / "checkpoints/last/pretrained_model"
-            planner = [f"--policy.path={policy}"]
+            policy = self.folder / "train" / cell.policy / "checkpoints/last/pretrained_model"
+            planner = [f"--policy.path={policy}", *PLANNERS[cell.planner].run_options]
         for seeds in chunks(missing):
-            folder = self._runs(cell) / f"{seeds[0]}-{seeds[-1]}"
+            folder = self._runs(cell, cell.policy) / f"{seeds[0]}-{seeds[-1]}"
             options = (*planner, f"--seed={seeds[0]}", f"--episodes={len(seeds)}")
             others = (f"--output_dir={folder}", f"--workers={self.workers}")
             self._run(Job(f"running {cell.name}", "eval.py", folder, options, others, len(seeds)))
@@ -125,21 +127,23 @@ class Runs:
 
     def _twins(self, cell: Cell) -> list[Path]:
         """Where runs of the cell's policy are, its own folder first."""
-        own = self._runs(cell)
+        own = self._runs(cell, cell.policy)
         if cell.train_seed is None:
             return [own]
-        policy = fingerprint(self.folder / "train" / cell.name)
+        policy = fingerprint(self.folder / "train" / cell.policy)
         others = (path for path in sorted((self.folder / "train").iterdir()) if path.is_dir())
-        twins = [path.name for path in others if path.name != cell.name and fingerprint(path) == policy]
-        return [own, *(own.with_name(name) for name in twins)]
+        twins = [path.name for path in others if path.name != cell.policy and fingerprint(path) == policy]
+        return [own, *(self._runs(cell, name) for name in twins)]
 
-    def _runs(self, cell: Cell) -> Path:
-        return self.folder / "eval" / cell.name
+    def _runs(self, cell: Cell, policy: str) -> Path:
+        """Where the policy's runs by the cell's planner are, those of other options of eval.py deeper."""
+        folder = self.folder / "eval" / policy
+        return folder / cell.planner if PLANNERS[cell.planner].run_options else folder
 
     def _run(self, job: Job) -> dict[str, Any]:
         self.bar.set_description(job.doing)
         start = self.bar.n
-        stamp = run(job, self.commit, lambda done: self._move_to(start + done))
+        stamp = run(job, self.commit, self.threads, lambda done: self._move_to(start + done))
         self._move_to(start + (job.episodes or 0))
         return stamp
 

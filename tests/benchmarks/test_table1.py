@@ -143,9 +143,9 @@ def test_quick_is_coarse_and_has_rows_of_its_own(tmp_path):
     quick = TableOptions(quick=True, output_dir=tmp_path / "table")
     assert {(cell.flags, cell.planner, cell.demonstrations, cell.episodes) for cell in quick.plan} == {
         ("random", "teacher", 0, 30),
-        *(("random", name, 20, 30) for name in ("baseline", "dpboost-2", "dpboost-4")),
+        *(("random", name, 20, 30) for name in ("baseline", "dpboost-2", "dpboost-2-recovery", "dpboost-4")),
     }
-    assert len(quick.plan) == 4
+    assert len(quick.plan) == 5
     assert quick.rows == tmp_path / "table_quick.json"
     assert {cell.name for cell in quick.plan} <= {cell.name for cell in TableOptions().plan}
     [only] = TableOptions(quick=True, planners=["baseline"], train_seeds=[2]).plan
@@ -155,6 +155,7 @@ def test_quick_is_coarse_and_has_rows_of_its_own(tmp_path):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
+        ("--worlds=old", "worlds is 'old': choose from test, fresh"),
         ("--parts=[table]", "parts has 'table': choose from main, curve, paper"),
         ("--flags=[none]", "flags has 'none': choose from random, fixed"),
         ("--planners=[dpboost]", "planners has 'dpboost': choose from teacher, baseline"),
@@ -166,6 +167,7 @@ def test_quick_is_coarse_and_has_rows_of_its_own(tmp_path):
         ("--episodes=10001", "episodes is 10001: give 1 or more, 10000 at most"),
         ("--demonstrations=1001", "demonstrations is 1001: give 1 or more, 1000 at most"),
         ("--workers=0", "workers is 0: give 1 or more"),
+        ("--threads=0", "threads is 0: give 1 or more"),
         ("--episode=3", "unknown option --episode: did you mean --episodes?"),
     ],
 )
@@ -183,6 +185,7 @@ def test_a_wrong_option_is_one_line(option, message):
             "there is no cell of dpboost-2-dagger in main, curve, paper with fixed flags: ask for others",
         ),
         (["--parts=[paper]", "--planners=[teacher]"], "there is no cell of teacher in paper"),
+        (["--worlds=fresh", "--parts=[curve]"], "there is no cell of teacher"),
         (["--quick=true", "--planners=[dpboost-2-dagger]"], "there is no cell of dpboost-2-dagger in quick"),
     ],
 )
@@ -190,6 +193,26 @@ def test_a_table_without_cells_is_one_line(asked, message):
     with pytest.raises(ValueError) as refused:
         cli.parse(TableOptions, asked)
     assert str(refused.value).startswith(message)
+
+
+def test_fresh_worlds_have_a_main_table_a_folder_and_rows_of_their_own():
+    fresh = TableOptions(worlds="fresh", train_seeds=[0, 1, 2])
+    assert {(cell.worlds.start, cell.worlds.stop) for cell in fresh.plan} == {(40_000, 40_100)}
+    assert {cell.demonstrations for cell in fresh.plan} == {0, 20}
+    assert {cell.render_size for cell in fresh.plan} == {(64, 48), (128, 96)}
+    tests = TableOptions()
+    assert (fresh.folder, fresh.rows) == (Path("outputs/table1_fresh"), Path("outputs/table1_fresh.json"))
+    assert (tests.folder, tests.rows) == (Path("outputs/table1"), Path("outputs/table1.json"))
+    assert TableOptions(worlds="fresh", output_dir=Path("here")).rows == Path("here.json")
+
+
+def test_rows_of_other_worlds_are_not_written_over(tmp_path, monkeypatch):
+    monkeypatch.setattr(Runs, "outcomes", lambda self, cell: (dict.fromkeys(cell.worlds, "success"), []))
+    main(options(tmp_path, planners=["teacher"]))
+    before = (tmp_path / "table.json").read_text()
+    with pytest.raises(ValueError, match=r"a row of teacher in others than fresh worlds\): give another"):
+        main(options(tmp_path, planners=["teacher"], worlds="fresh"))
+    assert (tmp_path / "table.json").read_text() == before
 
 
 OTHER = '{"rows": [{"flags": "fixed", "planner": "%s", "n": %d, "per_episode": [true]}]}'

@@ -14,6 +14,7 @@ from table_cells import (  # noqa: E402
     PLANNERS,
     TEACHER,
     TRAIN_SEEDS,
+    WORLDS,
     Cell,
     cells,
     demonstrations_needed,
@@ -36,7 +37,7 @@ def of(found, **wanted):
 def test_the_main_table_has_every_planner_flags_and_training_seed():
     found = plan(["main"])
     assert len(of(found, planner=TEACHER)) == 2  # one for each kind of flags, whatever the seeds
-    for name in ("baseline", "dpboost-2", "dpboost-4"):
+    for name in ("baseline", "dpboost-2", "dpboost-2-recovery", "dpboost-4", "paper"):
         assert {(cell.flags, cell.train_seed) for cell in of(found, planner=name)} == {
             (flags, seed) for flags in FLAGS for seed in (0, 1, 2)
         }
@@ -80,7 +81,7 @@ def option(options, name):
 def test_no_world_is_learned_from_and_tested():
     dagger = DaggerOptions()
     assert 5000 <= dagger.validation_seed <= 6000 - dagger.validation_episodes
-    roles = {"test": set(plan()[0].worlds), "validation": set(range(5000, 6000))}
+    roles = {role: set(worlds) for role, worlds in WORLDS.items()} | {"validation": set(range(5000, 6000))}
     for seed in TRAIN_SEEDS:
         cell = Cell("random", "dpboost-2-dagger", 100, seed, 200)
         first = int(option(cell.record_options, "seed"))
@@ -96,3 +97,16 @@ def test_train_py_knows_the_options(name):
     assert options.dataset.episodes == [0, 1, 2] and options.seed == 2
     assert (options.planner.type == "baseline") == (name == "baseline")
     assert (options.dagger.iterations > 0) == name.endswith("-dagger")
+    assert options.planner.recipe == ("paper" if name == "paper" else "dpmacro")
+
+
+def test_worlds_are_the_first_of_their_role():
+    assert list(Cell("random", "baseline", 20, 0, 2).worlds) == [10_000, 10_001]
+    assert list(Cell("random", "baseline", 20, 0, 2, role="fresh").worlds) == [40_000, 40_001]
+
+
+def test_recovery_is_a_way_to_run_a_policy_not_to_train_one():
+    plain, recovering = (Cell("random", name, 20, 1, 9) for name in ("dpboost-2", "dpboost-2-recovery"))
+    assert recovering.policy == plain.policy == plain.name == "random_1_dpboost-2_20"
+    assert recovering.train_options == plain.train_options
+    assert recovering.name != plain.name and recovering.key != plain.key

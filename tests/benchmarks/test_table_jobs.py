@@ -41,7 +41,7 @@ def test_what_succeeds_is_stamped_and_replaces_what_was_there(job):
     (first.folder / "old").mkdir(parents=True)
     assert read_stamp(first.folder) is None
     started = time.perf_counter()
-    stamp = run(first, "abc", ignored)
+    stamp = run(first, "abc", 1, ignored)
     assert 0.4 <= stamp["seconds"] <= round(time.perf_counter() - started, 1) + 0.1
     assert read_stamp(first.folder) == stamp
     assert stamp["options"] == ["--a=1"] and stamp["commit"] == "abc"
@@ -50,6 +50,14 @@ def test_what_succeeds_is_stamped_and_replaces_what_was_there(job):
     assert (first.folder / "made").read_text() == "--a=1"
     forget(first.folder)
     assert read_stamp(first.folder) is None and not first.folder.exists()
+
+
+def test_a_script_has_the_threads_that_it_is_given(job, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    tells = job(WRITES + "import os\n(folder / 'threads').write_text(os.environ['OMP_NUM_THREADS'])")
+    for threads in (1, 3):
+        run(tells, "abc", threads, ignored)
+        assert (tells.folder / "threads").read_text() == str(threads)
 
 
 @pytest.mark.parametrize(
@@ -61,10 +69,10 @@ def test_what_succeeds_is_stamped_and_replaces_what_was_there(job):
     ],
 )
 def test_a_failure_is_one_line_with_the_last_of_its_log(job, code, message):
-    run(job(WRITES), "abc", ignored)
+    run(job(WRITES), "abc", 1, ignored)
     failing = job(WRITES + code)
     with pytest.raises(OSError, match=rf"^doing it failed with {message} \(all of it in .*/cell\.log\)$"):
-        run(failing, "abc", ignored)
+        run(failing, "abc", 1, ignored)
     assert read_stamp(failing.folder) is None
 
 
@@ -83,7 +91,7 @@ def test_an_interrupt_ends_the_script_and_leaves_no_stamp(job, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(endless, "abc", interrupted)
+        run(endless, "abc", 1, interrupted)
     [child] = children
     assert child.poll() is not None
     assert endless.folder.exists() and read_stamp(endless.folder) is None
@@ -104,7 +112,7 @@ def test_an_interrupted_script_cleans_up_its_processes_too(job, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(replace(cleans, episodes=9), "abc", interrupted)
+        run(replace(cleans, episodes=9), "abc", 1, interrupted)
     assert int((cleans.folder / "cleaned").read_text()) != 0
     assert read_stamp(cleans.folder) is None
 
@@ -113,10 +121,10 @@ def test_a_script_tells_how_far_it_is(job, monkeypatch):
     monkeypatch.setattr(table_jobs, "POLL", 0.05)
     told = []
     waiting = "for k in range(4): print(f'\\r {k}/3 [00:01', end='', flush=True), time.sleep(0.2)"
-    run(job(WRITES + waiting, episodes=3), "abc", told.append)
+    run(job(WRITES + waiting, episodes=3), "abc", 1, told.append)
     assert told == sorted(told) and set(told) & {1, 2}
     silent = []
-    run(job(WRITES + waiting), "abc", silent.append)
+    run(job(WRITES + waiting), "abc", 1, silent.append)
     assert silent == []
 
 

@@ -11,7 +11,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))  # as the script itself finds its n
 
 from report import inserted  # noqa: E402
 from table_cells import PLANNERS  # noqa: E402
-from table_report import MARKS, main_table, report, write_report  # noqa: E402
+from table_report import main_table, marks, report, write_report  # noqa: E402
 from table_rows import curve_points, groups, paired, pooled  # noqa: E402
 
 from dpmacro.metrics.success import mcnemar, wilson_interval  # noqa: E402
@@ -35,6 +35,7 @@ def row(planner, per_episode, seed=0, flags="random", demonstrations=20, size=(1
     }
 
 
+MARKS = marks("test")
 TEACHER = [True] * 8 + [False] * 2
 GOOD = [True] * 7 + [False, True, True]
 BAD = [False] * 9 + [True]
@@ -162,5 +163,9 @@ def test_picture_and_rows_go_beside_the_report(tmp_path):
     assert "](rows.json)" in path.read_text()
     assert (tmp_path / "docs/learning_curve.png").stat().st_size > 1000
     assert "](learning_curve.png)" in path.read_text()
+    write_report(FOUND | {"rows": ROWS[2:4]}, 20, path, "fresh.json", marks("fresh"))
+    text = path.read_text()
+    assert "17 of 20" in text and "](rows.json)" in text.split(MARKS[1])[0]  # the other section stays
+    assert "](fresh.json)" in text.split("<!-- fresh -->")[1] and (tmp_path / "docs/fresh.json").exists()
     write_report(FOUND | {"rows": ROWS[:3]}, 20, path, "rows.json")
     assert "learning_curve.png" not in path.read_text() and "17 of 20" in path.read_text()

@@ -34,7 +34,7 @@ class Scripts:
         self.jobs = []
         self.learned = lambda job: job.folder.name.encode()
 
-    def __call__(self, job, commit, moved):
+    def __call__(self, job, commit, threads, moved):
         self.jobs.append(job)
         forget(job.folder)
         job.folder.mkdir(parents=True)
@@ -82,7 +82,7 @@ def scripts(monkeypatch):
 def runs_of(folder, *plan, commit="abc"):
     needed = demonstrations_needed(plan)
     with tqdm(total=work(plan, needed), file=io.StringIO()) as bar:
-        runs = Runs(folder, 1, commit, needed, bar)
+        runs = Runs(folder, 1, 1, commit, needed, bar)
         found = [runs.outcomes(cell) for cell in plan]
         assert bar.n == bar.total
     return found
@@ -190,6 +190,49 @@ def test_policies_that_are_the_same_bit_for_bit_share_their_runs(tmp_path, scrip
     runs_of(tmp_path, more)
     assert scripts.did() == ["eval.py 10060-10099"]
     assert (tmp_path / "eval" / four.name).exists()
+
+
+def test_recovery_runs_the_policy_that_is_there_and_keeps_its_runs_apart(tmp_path, scripts):
+    plain, recovering = (Cell("random", name, 5, 1, 60) for name in ("dpboost-2", "dpboost-2-recovery"))
+    runs_of(tmp_path, plain)
+    scripts.did()
+    runs_of(tmp_path, recovering)
+    asked = [job.options for job in scripts.jobs]
+    assert scripts.did() == ["eval.py 10000-10049", "eval.py 10050-10059"]
+    assert all("--policy.recovery=true" in options for options in asked)
+    assert f"--policy.path={tmp_path}/train/{plain.name}/checkpoints/last/pretrained_model" in asked[0]
+    runs_of(tmp_path, plain, recovering)
+    assert scripts.did() == []
+    # Whatever comes first trains the policy, and runs of one that goes are those of both.
+    (tmp_path / "train" / f"{plain.name}.json").write_text(
+        json.dumps({"options": [], "command": "", "commit": "", "seconds": 0})
+    )
+    runs_of(tmp_path, recovering, plain)
+    assert scripts.did() == [
+        "train.py random_1_dpboost-2_5",
+        *["eval.py 10000-10049", "eval.py 10050-10059"] * 2,
+    ]
+
+
+def test_a_twin_of_the_policy_lends_the_runs_of_the_same_planner_only(tmp_path, scripts):
+    four, plain, recovering = (
+        Cell("random", name, 5, 1, 50) for name in ("dpboost-4", "dpboost-2", "dpboost-2-recovery")
+    )
+    scripts.learned = lambda job: b"same"
+    runs_of(tmp_path, four)
+    scripts.did()
+    runs_of(tmp_path, plain)
+    assert scripts.did() == ["train.py random_1_dpboost-2_5"]
+    runs_of(tmp_path, recovering)
+    assert scripts.did() == ["eval.py 10000-10049"]
+
+
+def test_fresh_worlds_are_run_beside_the_others(tmp_path, scripts):
+    runs_of(tmp_path, BASELINE)
+    scripts.did()
+    [(outcomes, _)] = runs_of(tmp_path, replace(BASELINE, episodes=60, role="fresh"))
+    assert scripts.did() == ["eval.py 40000-40049", "eval.py 40050-40059"]
+    assert list(outcomes) == list(range(40_000, 40_060))
 
 
 @pytest.mark.parametrize("other", [{"thresholds": [0.6]}, {"cues": [[0, 1]]}, {"made later": 1}])
