@@ -7,7 +7,7 @@ import torch
 from matrices import SIZES, Matrix, planted
 
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.features.base import previous_images
+from dpmacro.features.base import frames_before
 from dpmacro.features.kinds import make_features
 from dpmacro.features.quantising import Quantiser
 
@@ -39,7 +39,7 @@ def recorded(kind: str, demonstrations: Demonstrations, n_frames: int, n_columns
     held = int(starts[-n_held])
     n_frames = min(n_frames, held)
     images = torch.from_numpy(demonstrations.images)
-    previous = previous_images(images, lengths)
+    previous = images[frames_before(lengths)]
     height, width = images.shape[1:3]
     features = make_features(kind, height, width, n_columns, torch.Generator().manual_seed(0))
     features = features.select(torch.linspace(0, features.count - 1, min(n_columns, features.count)).long())

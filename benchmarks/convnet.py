@@ -18,7 +18,8 @@ import torch
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.convnet import ConvNetLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.boosting.loop import Boosting, class_targets
+from dpmacro.boosting.loop import Boosting
+from dpmacro.boosting.losses import class_targets
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.features.base import frames_before
 from dpmacro.features.columns import prepare
@@ -130,7 +131,7 @@ def switches_row(
     switches = fit_switches(learner, phase, lengths, generator, settings, actions=actions)
     shares = "  ".join(
         f"{source} to {target}: {share:.2f}"
-        for (source, target), share in zip(switches.pairs, switches.detected.tolist(), strict=True)
+        for (source, target), share in zip(switches.pairs, switches.recognised.tolist(), strict=True)
     )
     return f"{time.perf_counter() - start:>7.1f}   {shares}"
 

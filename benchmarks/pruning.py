@@ -16,8 +16,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from dpmacro.boosting.learners.stumps import StumpLearner, column_losses
-from dpmacro.boosting.loop import Boosting, class_targets, exponentials_of
+from dpmacro.boosting.learners.stumps import StumpLearner, sweep
+from dpmacro.boosting.loop import Boosting
+from dpmacro.boosting.losses import class_targets, exponentials_of
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features
@@ -56,6 +57,11 @@ def main(options: PruningOptions) -> None:
         _, _, data = prepare(images, lengths, features, Plan(columns, features.count, 0, 0.0), generator)
         for number, line in rows(data, actions, options.shrinkage, generator):
             print(f"{kind:<11} {number:>5} {line}", flush=True)
+
+
+def column_losses(data: SortedLevels, weights: Tensor, targets: Tensor) -> Tensor:
+    """Z / 2 of the best stump in every column, [columns, problems]."""
+    return torch.cat([loss.amin(1) for _, _, loss in sweep(data, weights, targets)])
 
 
 def rows(

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int32, Int64, UInt8
 from torch import Tensor
 
-__all__ = ["CHUNK_FRAMES", "Encoder", "frames_before", "frames_last", "previous_images"]
+__all__ = ["CHUNK_FRAMES", "Encoder", "frames_before", "frames_last"]
 
 CHUNK_FRAMES = 64  # so many frames' integral images stay in the cache
 
@@ -52,13 +52,6 @@ def frames_before(lengths: Int64[Tensor, " trajectories"]) -> Int64[Tensor, " fr
     before = torch.arange(int(lengths.sum()), device=lengths.device) - 1
     before[lengths.cumsum(0) - lengths] += 1
     return before
-
-
-def previous_images(
-    images: UInt8[Tensor, "frames height width 3"], lengths: Int64[Tensor, " trajectories"]
-) -> UInt8[Tensor, "frames height width 3"]:
-    """The image before each image of a trajectory; the first is its own predecessor."""
-    return images[frames_before(lengths.to(images.device))]
 
 
 def frames_last(

@@ -18,13 +18,13 @@ from dpmacro.discovery.alternation import Alternated
 from dpmacro.discovery.candidates import Task, judge
 from dpmacro.discovery.dpboost import DPBoost
 from dpmacro.discovery.result import Search
-from dpmacro.features.base import previous_images
+from dpmacro.features.base import frames_before
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features
 from dpmacro.features.memory import Plan
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
-from dpmacro.segmentation.recursion import transition_counts
+from dpmacro.segmentation.segments import transition_counts
 from dpmacro.switching.training import SwitchSettings, fit_switches
 
 SHAPE = (6, 8)
@@ -134,7 +134,7 @@ def test_costs_are_those_of_the_classifiers_at_every_image_and_the_one_before(mo
     monkeypatch.setattr(annotation, "CHUNK", 5)
     policy, demonstrations = random_policy(), random_demonstrations()
     images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
-    levels = policy.quantiser.levels(policy.features.values(images, previous_images(images, lengths)))
+    levels = policy.quantiser.levels(policy.features.values(images, images[frames_before(lengths)]))
     right = torch.nn.functional.one_hot(torch.from_numpy(demonstrations.actions), 3) == 1
     scores = policy.actor.scores(Frames(levels)).double()
     costs = torch.where(right[:, None], -scores, scores).exp().sum(2)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dpmacro.features import memory
-from dpmacro.features.base import previous_images
+from dpmacro.features.base import frames_before
 from dpmacro.features.columns import prepare, with_mirror_images
 from dpmacro.features.kinds import make_features
 from dpmacro.features.levels import SortedLevels
@@ -23,7 +23,7 @@ def example(n_frames=90):
 def test_columns_are_those_computed_all_at_once(monkeypatch, kind, at_a_time):
     images, lengths = example()
     features = make_features(kind, 12, 16, 70, torch.Generator().manual_seed(1))
-    values = features.values(images, previous_images(images, lengths))
+    values = features.values(images, images[frames_before(lengths)])
     quantiser = Quantiser.fit(values)
     monkeypatch.setattr(memory, "VALUES", at_a_time)
     done = []
@@ -44,7 +44,7 @@ def test_columns_are_those_computed_all_at_once(monkeypatch, kind, at_a_time):
 def test_a_sample_of_many_frames_chooses_the_cuts(monkeypatch):
     images, lengths = example()
     features = make_features("rectangles", 12, 16, 70, torch.Generator().manual_seed(1))
-    values = features.values(images, previous_images(images, lengths))
+    values = features.values(images, images[frames_before(lengths)])
     monkeypatch.setattr(memory, "SAMPLED", 30)
     monkeypatch.setattr(memory, "VALUES", 700)
     _, quantiser, data = prepare(images, lengths, features, Plan(70, 70, 20, 1.0), torch.Generator())
@@ -74,6 +74,6 @@ def test_mirror_images_come_after_the_frames(monkeypatch, kind, at_a_time):
     monkeypatch.setattr(memory, "VALUES", at_a_time)
     both = with_mirror_images(data, images, lengths, features, quantiser)
     flipped = images.flip(2)
-    values = features.values(flipped, previous_images(flipped, lengths))
+    values = features.values(flipped, flipped[frames_before(lengths)])
     assert torch.equal(both.levels, torch.cat([data.levels, quantiser.levels(values)], 1))
     assert not torch.equal(both.levels[:, :90], both.levels[:, 90:]) and len(both.columns) == 0

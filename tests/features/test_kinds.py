@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dpmacro.features.base import previous_images
+from dpmacro.features.base import frames_before
 from dpmacro.features.kinds import FEATURES, features_from, make_features
 from dpmacro.features.levels import LEVELS
 from dpmacro.features.pixels import Pixels
@@ -29,7 +29,7 @@ def channels(now: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 def test_rectangles_are_plain_sums(images):
     features = Rectangles.draw(12, 16, 200, torch.Generator().manual_seed(1))
-    previous = previous_images(images, torch.tensor([30, 40]))
+    previous = images[frames_before(torch.tensor([30, 40]))]
     values = features.values(images, previous)
     assert (features.second[:100, 3:] == 0).all()
     assert (features.second[100:, 3:] > 0).all(), "half of them are differences"
@@ -43,7 +43,7 @@ def test_rectangles_are_plain_sums(images):
 
 
 def test_pixels_are_colours_then_differences(images):
-    previous = previous_images(images, torch.tensor([70]))
+    previous = images[frames_before(torch.tensor([70]))]
     values = Pixels.all(12, 16).values(images, previous)
     assert values.shape == (6 * 12 * 16, 70)
     expected = torch.cat([images.int(), images.int() - previous.int()], 3).permute(3, 1, 2, 0)
@@ -55,7 +55,7 @@ def test_the_papers_features_are_18432():
 
 
 def test_the_first_frame_of_a_trajectory_is_its_own_predecessor(images):
-    previous = previous_images(images, torch.tensor([1, 30, 39]))
+    previous = images[frames_before(torch.tensor([1, 30, 39]))]
     for n in range(70):
         assert torch.equal(previous[n], images[n if n in (0, 1, 31) else n - 1])
 
@@ -63,7 +63,7 @@ def test_the_first_frame_of_a_trajectory_is_its_own_predecessor(images):
 @pytest.mark.parametrize("kind", FEATURES)
 def test_selection_batches_and_files_change_no_value(images, kind):
     features = make_features(kind, 12, 16, 300, torch.Generator().manual_seed(2))
-    previous = previous_images(images, torch.tensor([70]))
+    previous = images[frames_before(torch.tensor([70]))]
     values = features.values(images, previous)
     columns = torch.randperm(features.count, generator=torch.Generator().manual_seed(3))[:50]
     few = features.select(columns)

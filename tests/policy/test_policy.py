@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpClassifier
-from dpmacro.features.base import previous_images
+from dpmacro.features.base import frames_before
 from dpmacro.features.kinds import FEATURES, make_features
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
@@ -30,7 +30,7 @@ def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0):
     generator = torch.Generator().manual_seed(seed)
     images = torch.randint(0, 256, (50, *SHAPE, 3), dtype=torch.uint8, generator=generator)
     features = make_features(kind, *SHAPE, 200, generator)
-    quantiser = Quantiser.fit(features.values(images, previous_images(images, torch.tensor([50]))))
+    quantiser = Quantiser.fit(features.values(images, images[frames_before(torch.tensor([50]))]))
 
     def stumps(problems, classes):
         return StumpClassifier(

@@ -21,7 +21,7 @@ from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.images import ImageTransform
 from dpmacro.data.lerobot.reader import WORLD_FILE
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
-from dpmacro.features.base import previous_images
+from dpmacro.features.base import frames_before
 from dpmacro.features.memory import GIB, Plan
 from dpmacro.metrics import segments
 from dpmacro.policy.policy import MacroPolicy
@@ -118,7 +118,7 @@ def test_the_policy_sees_in_a_run_what_the_trainer_saw(trained, recorded):
     policy = MacroPolicy.load(trained / "checkpoints/last/pretrained_model")
     demonstrations = Demonstrations.load(recorded)
     images = torch.from_numpy(demonstrations.images)
-    previous = previous_images(images, torch.from_numpy(demonstrations.lengths))
+    previous = images[frames_before(torch.from_numpy(demonstrations.lengths))]
     batch = policy.quantiser.levels(policy.features.values(images, previous))
     for trajectory in demonstrations.trajectories:
         state = policy.initial_state(1)

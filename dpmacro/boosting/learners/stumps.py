@@ -12,7 +12,7 @@ from torch import Tensor
 from dpmacro.boosting.learners.base import HEAVIEST, Frames, overflow
 from dpmacro.features.levels import LEVELS, SortedColumns, SortedLevels
 
-__all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps", "column_losses"]
+__all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps", "sweep"]
 
 CACHED = 2**18  # histogram entries of a chunk of columns that stay in a core's cache
 ON_DEVICE = 2**24  # likewise where a large chunk keeps the device busy
@@ -142,7 +142,7 @@ class StumpLearner:
         search = self._search(generator) if memory is None else memory
         shortlisting = self.reuse > 1 and self.drawn == 0 and memory is None
         found, minima = [], []
-        for chunk, below, loss in _sweep(search.data, weights, targets):
+        for chunk, below, loss in sweep(search.data, weights, targets):
             found.append(_lowest(loss, below, chunk.thresholds))
             if shortlisting:
                 minima.append(loss.amin(1))
@@ -184,17 +184,10 @@ class StumpLearner:
         return Search(self.data.take(columns), rounds)
 
 
-def column_losses(
+def sweep(
     data: SortedLevels,
     weights: Float[Tensor, "frames problems classes"],
     targets: Bool[Tensor, "frames #problems classes"],
-) -> Float[Tensor, "sorted problems"]:
-    """Z / 2 of the best stump in every sorted column."""
-    return torch.cat([loss.amin(1) for _, _, loss in _sweep(data, weights, targets)])
-
-
-def _sweep(
-    data: SortedLevels, weights: Tensor, targets: Tensor
 ) -> Iterator[
     tuple[
         SortedColumns,
@@ -202,7 +195,11 @@ def _sweep(
         Float[Tensor, "columns bins problems"],
     ]
 ]:
-    """Chunks of columns with the weights up to every threshold, right and wrong, and its Z / 2."""
+    """Every sorted column, a chunk at a time: the chunk, the weights up to each threshold, and Z / 2 of each.
+
+    Weights are those of [right, wrong] class labels. Raises ValueError where they sum to `HEAVIEST` or to no
+    number.
+    """
     weights, targets = weights.transpose(1, 2), targets.transpose(1, 2)
     table = torch.stack([weights * targets, weights * ~targets], 1).flatten(1)
     total = table.sum(0, dtype=torch.float64).to(table.dtype)
