@@ -23,7 +23,7 @@ class Demonstrations:
     """Trajectories, concatenated frame by frame; `lengths` says where each ends.
 
     Attributes:
-        images: what the planner sees, RGB.
+        images: what the policy sees, RGB.
         actions: the action taken at each image, 0..M-1.
         lengths: frames per trajectory, at least 2.
         action_names: M names; the numbers as text where the dataset names none.
@@ -155,7 +155,7 @@ class Demonstrations:
 
 
 def _choose_camera(store: StoredDataset, camera: str | None) -> str:
-    """The image feature that the planner sees."""
+    """The image feature that the policy sees."""
     cameras = [name for name, feature in store.features.items() if feature["dtype"] in ("image", "video")]
     if not cameras:
         raise DatasetError(f"dataset {store.root}: has no image feature; dpmacro learns from images")

@@ -12,12 +12,12 @@ from torch import Tensor
 
 __all__ = ["CHUNK_FRAMES", "Encoder", "frames_before", "frames_last"]
 
-CHUNK_FRAMES = 64  # so many frames' integral images stay in the cache
+CHUNK_FRAMES = 64  # frames computed at a time: what is computed of them stays in the processor's cache
 
 
 @runtime_checkable
 class Encoder(Protocol):
-    """Numbers computed from a frame and the frame before it."""
+    """Computes feature columns from a frame's image and the image before it."""
 
     kind: str
 
@@ -35,7 +35,7 @@ class Encoder(Protocol):
         ...
 
     def select(self, columns: Int64[Tensor, " selected"]) -> "Encoder":
-        """The feature set that holds just these columns, in this order."""
+        """The encoder of just these columns, in this order."""
         ...
 
     def footprint(self, weights: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows height width"]:

@@ -13,7 +13,7 @@ FEATURES = {"rectangles": Rectangles, "pixels": Pixels}
 
 
 def make_features(kind: str, height: int, width: int, count: int, generator: torch.Generator) -> Encoder:
-    """The feature set of that name: "pixels", or "rectangles" with `count` of them drawn by `generator`.
+    """The encoder of that name: "pixels", or "rectangles" with `count` of them drawn by `generator`.
 
     Raises ValueError for another name and for fewer than one rectangle.
     """
@@ -27,5 +27,5 @@ def make_features(kind: str, height: int, width: int, count: int, generator: tor
 
 
 def features_from(kind: str, height: int, width: int, tensors: dict[str, Tensor]) -> Encoder:
-    """The feature set that `Encoder.tensors` described."""
+    """The encoder that `Encoder.tensors` described."""
     return FEATURES[kind](height, width, **tensors)

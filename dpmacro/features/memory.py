@@ -12,10 +12,10 @@ __all__ = ["DRAWN", "GIB", "LEAST_COLUMNS", "LIBRARIES", "SAMPLED", "VALUES", "D
 
 GIB = 2**30  # bytes
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
-VALUES = 2**26  # integers that are quantised at a time
+VALUES = 2**26  # feature values that are computed and quantised at a time
 SAMPLED = 20_000  # frames that choose the cuts, evenly spaced, where there are more
 SORTED = 4  # bytes of a frame's place in a column's order
-DRAWN = SORTED + 1  # likewise where columns are sorted when drawn, from a copy of their levels
+DRAWN = SORTED + 1  # bytes of a frame in a column that is sorted when it is drawn, from a copy of its levels
 LEAST_COLUMNS = 512  # as many as judging a segmentation searches
 
 
@@ -24,13 +24,13 @@ class Demand:
     """What training asks of memory.
 
     Attributes:
-        n_frames: of all demonstrations.
-        image_bytes: of one frame.
-        n_columns: of the feature set.
-        table_bytes: scores, losses and weights of one frame while boosting.
-        copies: of every frame's columns, like mirror images, that switch functions learn from as well.
-        switch_bytes: of one frame while they learn, boosting being over: scores, losses, weights, sorted
-            columns and copied images, those of the copies included.
+        n_frames: number of frames in all demonstrations.
+        image_bytes: bytes of one frame's image.
+        n_columns: number of feature columns.
+        table_bytes: bytes that scores, losses and weights of one frame take while classifiers are boosted.
+        copies: mirror images of every frame whose columns switch functions learn from, too; 0 or 1.
+        switch_bytes: bytes of one frame while switch functions are boosted, after the classifiers: scores,
+            losses, weights, sorted columns and mirror images.
     """
 
     n_frames: int
@@ -46,10 +46,10 @@ class Plan:
     """How the feature columns are held.
 
     Attributes:
-        columns: how many of the feature set are kept.
-        of: how many the feature set has.
-        drawn: how many of them a boosting round searches at most; 0 for all, held sorted.
-        gibibytes: estimate of the most memory that training takes.
+        columns: number of columns that are kept.
+        of: number of columns that there were to choose from.
+        drawn: number of columns that a boosting round searches at most; 0 for all, which are held sorted.
+        gibibytes: estimated peak of the memory that training takes, in GiB.
     """
 
     columns: int

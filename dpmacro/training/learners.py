@@ -1,4 +1,4 @@
-"""The weak learners that the options ask for: of the strong classifiers, and of the switch functions."""
+"""The weak learners that the options name, for action classifiers and for switch functions."""
 
 import torch
 from jaxtyping import Int64, UInt8
@@ -17,22 +17,22 @@ __all__ = ["WeakLearners", "rounds_of", "shrinkage_of"]
 
 
 def rounds_of(planner: PlannerOptions, kind: str, rounds: int) -> int:
-    """Boosting rounds in all of a learner of that kind, where stumps have `rounds`."""
+    """Boosting rounds of a classifier of that kind: `rounds` with stumps, the networks' own with convnet."""
     return planner.convnet.rounds if kind == "convnet" else rounds
 
 
 def shrinkage_of(planner: PlannerOptions, kind: str, shrinkage: float) -> float:
-    """Shrinkage of a learner of that kind, where stumps have `shrinkage`."""
+    """Shrinkage of a classifier of that kind: `shrinkage` with stumps, the networks' own with convnet."""
     return planner.convnet.shrinkage if kind == "convnet" else shrinkage
 
 
 class WeakLearners:
-    """Makes weak learners of a set of frames.
+    """Makes the weak learners for one set of training frames.
 
     Args:
-        planner: which kinds, and how many columns a round searches.
+        planner: the options that name the kinds of weak learners and the columns that a round searches.
         images, lengths: the frames, for networks and mirror images.
-        drawn: how many columns a round of the strong classifiers may search, 0 for all (see `Plan`).
+        drawn: number of columns that memory lets a round search, 0 for all (see `Plan`).
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class WeakLearners:
         self._drawn = drawn
 
     def for_classifiers(self, data: SortedLevels) -> WeakLearner:
-        """The weak learner of the strong classifiers."""
+        """The weak learner of the action classifiers."""
         planner = self._planner
         drawn = planner.drawn or self._drawn
         stumps = StumpLearner(data, min(drawn, self._drawn or drawn), planner.reuse)
