@@ -1,10 +1,11 @@
-"""Levels whose change of rule can be seen, for tests of what judges segmentations."""
+"""Levels whose change of macro-action can be seen, and switch functions made by hand."""
 
 import torch
 
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.discovery.candidates import Task
 from dpmacro.features.levels import SortedLevels
+from dpmacro.switching.functions import SwitchFunctions
 
 
 def visible_change(n=12, length=80):
@@ -40,3 +41,23 @@ def trajectories(n=12, visible=True, seed=0):
         lengths.append(length)
     learner = StumpLearner(SortedLevels.build(torch.cat(columns, 1)))
     return learner, torch.cat(labels), torch.tensor(lengths)
+
+
+def functions_of(scores, pairs=((0, 1),), first=None, recognised=None, margins=None, left_out=True):
+    """Switch functions with thresholds of 0 that say what is given.
+
+    `scores` are [frames, switches]; margins are the scores, and trajectories start with 0, unless given.
+    """
+    first = torch.zeros(1, dtype=torch.int64) if first is None else first
+    return SwitchFunctions(
+        pairs=tuple(pairs),
+        starts=tuple(first.unique().tolist()),
+        thresholds=torch.zeros(len(pairs)),
+        cues=(),
+        recognised=torch.zeros(len(pairs)) if recognised is None else recognised,
+        scores=scores,
+        margins=scores if margins is None else margins,
+        first=first,
+        classifier=None,
+        left_out=left_out,
+    )

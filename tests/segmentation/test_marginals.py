@@ -95,7 +95,7 @@ def test_ragged_trajectories_do_not_see_one_another(device):
         torch.testing.assert_close(together[start:end], alone)
 
 
-def test_one_macro_action_has_no_rival():
+def test_one_macro_action_has_no_other_label():
     costs, lengths, _ = problem([4], 1, 0, False)
     assert margins(costs, lengths, 2, torch.zeros(4, dtype=torch.int64)).isinf().all()
 

@@ -2,11 +2,11 @@
 
 from functools import partial
 
+import pytest
 import torch
-from visible import trajectories
+from visible import functions_of, trajectories
 
 from dpmacro.switching.alignment import aligned, realigned
-from dpmacro.switching.functions import SwitchFunctions
 from dpmacro.switching.training import SwitchSettings, fit_switches
 
 
@@ -24,7 +24,7 @@ def test_changes_move_to_where_switch_functions_fire():
         return fit_switches(learner, given, lengths, torch.Generator().manual_seed(0), settings)
 
     switches = fit(late)
-    assert switches.detected.tolist() == [0.75]
+    assert switches.recognised.tolist() == [0.75]
     assert torch.equal(aligned(switches, late, lengths), labels)
     assert torch.equal(realigned(fit, late, lengths), labels)
 
@@ -36,7 +36,7 @@ def test_changes_stay_where_moving_them_helps_no_switch_function():
 
     def fit(given):
         asked.append(given.tolist())
-        return SwitchFunctions([(0, 1)], torch.zeros(1), torch.tensor([0.5]), scores, None)
+        return functions_of(scores, recognised=torch.tensor([0.5]))
 
     found = realigned(fit, labels, lengths)
     assert asked == [labels.tolist(), [0, 1, 1, 1, 0, 0, 1, 1]] and torch.equal(found, labels)
@@ -48,7 +48,7 @@ def test_changes_stay_where_nothing_was_left_out():
 
     def fit(left_out, given):
         share = torch.tensor([float(given[1])])  # more is recognised once it is moved
-        return SwitchFunctions([(0, 1)], torch.zeros(1), share, scores, None, left_out=left_out)
+        return functions_of(scores, recognised=share, left_out=left_out)
 
     assert realigned(partial(fit, True), labels, lengths).tolist() == [0, 1, 1, 1]
     assert realigned(partial(fit, False), labels, lengths).tolist() == [0, 0, 1, 1]
@@ -57,6 +57,21 @@ def test_changes_stay_where_nothing_was_left_out():
 def test_trajectories_with_other_changes_stay_as_they_are():
     lengths, labels = torch.tensor([4, 4, 4]), torch.tensor([0, 0, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1])
     scores = torch.tensor([-1.0, 2, -1, -1, -1, -1, -1, -1, 2, -1, -1, -1])[:, None]
-    switches = SwitchFunctions([(0, 1)], torch.zeros(1), torch.ones(1), scores, None)
     # The first change is moved, the second is never recognised, the third trajectory has none.
-    assert aligned(switches, labels, lengths).tolist() == [0, 1, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1]
+    assert aligned(functions_of(scores), labels, lengths).tolist() == [0, 1, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1]
+
+
+@pytest.mark.parametrize(("margin", "moved"), [(0.5, [0, 1, 1, 1]), (-0.5, [0, 0, 1, 1])])
+def test_what_fires_is_the_margin_and_not_the_score(margin, moved):
+    margins = torch.tensor([-1.0, margin, 1, -1])[:, None]
+    switches = functions_of(torch.full((4, 1), 9.0), margins=margins)
+    assert aligned(switches, torch.tensor([0, 0, 1, 1]), torch.tensor([4])).tolist() == moved
+
+
+def test_a_trajectory_is_told_from_the_macro_action_that_it_starts_with():
+    """The second starts with 1 and changes to 0; its change is moved by the function of that pair."""
+    labels, lengths = torch.tensor([0, 0, 0, 1, 1, 1, 1, 0]), torch.tensor([4, 4])
+    margins = torch.full((8, 2), -1.0)
+    margins[2, 0] = margins[5, 1] = 1.0
+    switches = functions_of(margins, ((0, 1), (1, 0)), first=torch.tensor([0, 0]))
+    assert aligned(switches, labels, lengths).tolist() == [0, 0, 1, 1, 1, 0, 0, 0]

@@ -5,18 +5,33 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.switching.functions import macro_segments
-from dpmacro.switching.threshold import calibrated
+from dpmacro.segmentation.segments import macro_segments
+from dpmacro.switching.threshold import best_threshold, recognised_share
 
-PAIR = (0, 1)
+PARTS = st.lists(
+    st.tuples(
+        st.lists(st.integers(-5, 5), min_size=1, max_size=4),
+        st.lists(st.integers(-5, 5), min_size=1, max_size=3),
+    ),
+    min_size=1,
+    max_size=6,
+)
 
 
-def threshold(parts, pair=PAIR):
+def changes_of(parts):
     """`parts`: for each trajectory the scores before its change, and those from the change on."""
     labels = [label for before, after in parts for label in [0] * len(before) + [1] * len(after)]
     lengths = torch.tensor([len(before) + len(after) for before, after in parts])
     scores = torch.tensor([float(score) for part in parts for side in part for score in side])
-    return calibrated(pair, macro_segments(torch.tensor(labels), lengths), scores)
+    segments = macro_segments(torch.tensor(labels), lengths)
+    return [one for one in segments if (one.macro, one.following) == (0, 1)], scores
+
+
+def found(parts):
+    """The threshold, and the share that is recognised under it."""
+    segments, scores = changes_of(parts)
+    threshold = best_threshold(segments, scores)
+    return threshold, recognised_share(segments, scores - threshold)
 
 
 @pytest.mark.parametrize(
@@ -36,26 +51,32 @@ def threshold(parts, pair=PAIR):
     ],
 )
 def test_the_threshold_serves_most_segments(parts, expected):
-    assert threshold(parts) == pytest.approx(expected)
+    assert found(parts) == pytest.approx(expected)
 
 
 @settings(deadline=None)
-@given(
-    st.lists(
-        st.tuples(
-            st.lists(st.integers(-5, 5), min_size=1, max_size=4),
-            st.lists(st.integers(-5, 5), min_size=1, max_size=3),
-        ),
-        min_size=1,
-        max_size=6,
-    )
-)
+@given(PARTS)
 def test_no_other_threshold_serves_more(parts):
     def served(at):
         return sum(max(before) <= at < after[0] for before, after in parts) / len(parts)
 
-    found, share = threshold(parts)
+    threshold, share = found(parts)
     best = max(served(level / 2) for level in range(-12, 13))
     assert share == pytest.approx(best)
     if share:
-        assert served(found) == pytest.approx(share)
+        assert served(threshold) == pytest.approx(share)
+
+
+def test_without_segments_the_decision_boundary_stands():
+    assert best_threshold([], torch.tensor([1.0, 2.0])) == 0.0
+
+
+@settings(deadline=None)
+@given(PARTS)
+def test_the_recognised_share_is_of_changes_seen_at_once_and_not_before(parts):
+    segments, margins = changes_of(parts)
+    wanted = sum(max(before) <= 0 < after[0] for before, after in parts) / len(parts)
+    assert recognised_share(segments, margins) == pytest.approx(wanted)
+    barred = margins.clone()
+    barred[[one.stop for one in segments]] = -torch.inf
+    assert recognised_share(segments, barred) == 0

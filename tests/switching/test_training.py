@@ -8,12 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from visible import trajectories
 
+from dpmacro.boosting.folds import folds_of
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.boosting.loop import MARGIN_LIMIT
+from dpmacro.boosting.losses import MARGIN_LIMIT
 from dpmacro.features.levels import SortedLevels
-from dpmacro.switching.functions import causal_labels, cued, macro_segments
-from dpmacro.switching.training import SwitchSettings, examples, fit_switches
+from dpmacro.segmentation.segments import macro_segments
+from dpmacro.switching.functions import causal_labels, cued
+from dpmacro.switching.threshold import best_threshold, recognised_share
+from dpmacro.switching.training import COVERED, SWITCH_FOLDS, SwitchSettings, examples, fit_switches
 
 
 def fit(learner, labels, lengths, rounds=10, actions=None, on_round=lambda _: None, **settings):
@@ -25,9 +28,9 @@ def fit(learner, labels, lengths, rounds=10, actions=None, on_round=lambda _: No
 def test_a_visible_change_is_recognised_when_it_comes():
     learner, labels, lengths = trajectories()
     switches = fit(learner, labels, lengths)
-    assert switches.pairs == [(0, 1)]
-    assert switches.detected.tolist() == [1.0]
-    causal = causal_labels(switches.held_out, switches.thresholds, switches.pairs, lengths, 0)
+    assert switches.pairs == ((0, 1),)
+    assert switches.recognised.tolist() == [1.0]
+    causal = causal_labels(switches.margins, switches.pairs, lengths, switches.first)
     assert torch.equal(causal, labels)
 
 
@@ -35,9 +38,9 @@ def test_copies_of_the_frames_are_examples_too():
     learner, labels, lengths = trajectories()
     twice = StumpLearner(SortedLevels.build(learner.data.levels.repeat(1, 2)))
     once, again = (fit(own, labels, lengths) for own in (learner, twice))
-    assert again.held_out.shape == once.held_out.shape == (len(labels), 1)
-    assert again.detected.tolist() == once.detected.tolist() == [1.0]
-    assert torch.equal(again.held_out > again.thresholds, once.held_out > once.thresholds)
+    assert again.scores.shape == once.scores.shape == (len(labels), 1)
+    assert again.recognised.tolist() == once.recognised.tolist() == [1.0]
+    assert torch.equal(again.scores > again.thresholds, once.scores > once.thresholds)
     # A change that only the copies show is learned from them.
     dark = learner.data.levels.clone()
     dark[0] = 0
@@ -50,8 +53,9 @@ def test_copies_of_the_frames_are_examples_too():
 
 def test_a_learner_of_other_frames_is_refused():
     learner, labels, lengths = trajectories()
-    with pytest.raises(ValueError, match=r"frames and \d+ are labelled"):
-        fit(learner, labels[:-7], lengths)
+    for count in (7, len(labels) - 1):  # too few, and more than the learner holds
+        with pytest.raises(ValueError, match=r"frames and \d+ are labelled"):
+            fit(learner, labels[:-7] if count == 7 else labels.repeat(2), lengths)
 
 
 def test_a_switch_function_may_fire_after_what_came_before_its_changes():
@@ -71,10 +75,10 @@ def test_a_switch_function_may_fire_after_what_came_before_its_changes():
     may_fire = before > 0  # 1 and 2 come before six changes each
     unfocused = fit(*parts, actions=actions, focused=False)
     assert unfocused.cues == bound.cues
-    assert torch.equal(unfocused.held_out[may_fire], free.held_out[may_fire])
+    assert torch.equal(unfocused.scores[may_fire], free.scores[may_fire])
     for found in (bound, unfocused):
-        assert (found.held_out[~may_fire] == -MARGIN_LIMIT).all()
-    assert bound.detected.tolist() == [1.0]
+        assert (found.scores[~may_fire] == -MARGIN_LIMIT).all()
+    assert bound.recognised.tolist() == [1.0]
 
 
 def test_frames_that_no_cue_precedes_are_no_examples():
@@ -96,7 +100,7 @@ def test_frames_that_no_cue_precedes_are_no_examples():
         other = StumpLearner(SortedLevels.build(other))
         found.append(fit(other, labels, lengths, actions=actions))
     for switches in found[1:]:
-        assert torch.equal(switches.held_out[asked], found[0].held_out[asked])
+        assert torch.equal(switches.scores[asked], found[0].scores[asked])
         assert torch.equal(switches.thresholds, found[0].thresholds)
 
 
@@ -105,8 +109,8 @@ def test_a_change_that_always_follows_its_cue_and_nothing_else_does_is_made_ther
     change = labels.diff(prepend=labels[:1]) > 0
     actions = change.roll(-1).long()
     found = fit(learner, labels, lengths, actions=actions)
-    assert torch.equal(found.held_out[:, 0] > found.thresholds, change)
-    assert found.detected.tolist() == [1.0]
+    assert torch.equal(found.scores[:, 0] > found.thresholds, change)
+    assert found.recognised.tolist() == [1.0]
 
 
 def test_what_came_before_few_changes_is_no_cue():
@@ -131,21 +135,21 @@ def test_a_high_score_that_no_cue_precedes_does_not_move_the_threshold():
     actions = torch.zeros_like(labels)
     actions[change - 1] = 1
     free, bound = (fit(learner, labels, lengths, actions=known, rounds=60) for known in (None, actions))
-    assert float(free.detected) < float(bound.detected) == 1.0
+    assert float(free.recognised) < float(bound.recognised) == 1.0
 
 
 def test_an_invisible_change_is_not():
     learner, labels, lengths = trajectories(visible=False)
     switches = fit(learner, labels, lengths)
-    assert float(switches.detected[0]) < 0.5
+    assert float(switches.recognised[0]) < 0.5
 
 
-def test_held_out_scores_never_saw_their_trajectory():
+def test_scores_scores_never_saw_their_trajectory():
     learner, labels, lengths = trajectories(visible=False)
     switches = fit(learner, labels, lengths, rounds=40)
     fitted = switches.classifier.scores(Frames(learner.data.levels))[:, 0, 0]
     change = labels.diff(prepend=labels[:1]) > 0
-    assert float(fitted[change].min()) > float(switches.held_out[change, 0].mean())
+    assert float(fitted[change].min()) > float(switches.scores[change, 0].mean())
 
 
 def test_trajectories_of_a_group_are_left_out_together():
@@ -163,7 +167,7 @@ def test_trajectories_of_a_group_are_left_out_together():
         )
         for own in (groups, None)
     )
-    twins = [found.held_out.chunk(2) for found in (together, apart)]
+    twins = [found.scores.chunk(2) for found in (together, apart)]
     assert torch.equal(*twins[0]), "the same function scores a trajectory and its twin"
     assert not torch.equal(*twins[1])
 
@@ -175,7 +179,7 @@ def test_early_stopping_keeps_the_rounds_that_left_out_trajectories_want():
     used = switches.classifier.tensors()["votes"]
     assert len(used) < len(reports) < 60, "noise is given up on, and later rounds are not kept"
     full = fit(learner, labels, lengths, rounds=len(used))
-    torch.testing.assert_close(switches.held_out, full.held_out)
+    torch.testing.assert_close(switches.scores, full.scores)
     frames = Frames(learner.data.levels)
     torch.testing.assert_close(switches.classifier.scores(frames), full.classifier.scores(frames))
 
@@ -184,15 +188,15 @@ def test_every_observed_change_gets_a_switch_function():
     learner, _, _ = trajectories(n=1)
     labels = torch.arange(learner.n_frames) // 10 % 3
     switches = fit(learner, labels, torch.tensor([learner.n_frames]), rounds=3)
-    assert switches.pairs == [(0, 1), (1, 2), (2, 0)]
-    assert switches.held_out.shape == (learner.n_frames, 3)
-    assert len(switches.thresholds) == len(switches.detected) == 3
+    assert switches.pairs == ((0, 1), (1, 2), (2, 0))
+    assert switches.scores.shape == (learner.n_frames, 3)
+    assert len(switches.thresholds) == len(switches.recognised) == 3
 
 
 def test_without_a_change_there_is_no_switch_function():
     learner, labels, lengths = trajectories()
     switches = fit(learner, torch.zeros_like(labels), lengths, rounds=3)
-    assert switches.pairs == [] and switches.classifier is None
+    assert switches.pairs == () and switches.classifier is None
 
 
 @pytest.mark.parametrize(
@@ -219,28 +223,175 @@ def test_a_single_trajectory_is_judged_by_what_learned_from_it_and_said_so():
     )
     scores = alone.classifier.scores(Frames(learner.data.levels[:, : lengths[0]]))[:, :, 0]
     assert not alone.left_out
-    torch.testing.assert_close(alone.held_out, scores)
+    torch.testing.assert_close(alone.scores, scores)
     assert fit(learner, labels, lengths).left_out
 
 
-@given(st.data())
-def test_examples_are_the_frames_from_a_change_on_and_those_before_it(data):
-    """Frame by frame: shown, of no trajectory left out, J positive ones at most, none beyond its segment."""
-    parts = data.draw(st.lists(st.lists(st.integers(0, 2), min_size=1, max_size=12), min_size=1, max_size=4))
+PARTS = st.lists(st.lists(st.integers(0, 2), min_size=1, max_size=12), min_size=1, max_size=4)
+
+
+@pytest.mark.parametrize("whole_past", [False, True])
+@given(data=st.data())
+def test_examples_are_the_frames_from_a_change_on_and_those_before_it(data, whole_past):
+    """Frame by frame: shown, of no trajectory left out, J positive ones at most, none beyond its segment.
+
+    Negative are the frames of macro-action 0; of the whole past all before a change from 0 to 1.
+    """
+    parts = data.draw(PARTS)
     window, n_frames = data.draw(st.integers(1, 5)), sum(map(len, parts))
     left_out = data.draw(st.lists(st.booleans(), min_size=len(parts), max_size=len(parts)))
     shown = data.draw(st.lists(st.booleans(), min_size=n_frames, max_size=n_frames))
     side = []
     for part, out in zip(parts, left_out, strict=True):
+        last = max((n for n in range(1, len(part)) if part[n - 1 : n + 1] == [0, 1]), default=0)
         for frame, macro in enumerate(part):
             since = next((k for k in range(frame, 0, -1) if part[k - 1] != part[k]), 0)  # its segment's start
             positive = since > 0 and (part[since - 1], macro) == (0, 1) and frame - since < window
+            negative = frame < last if whole_past else macro == 0
             side.append(
-                "" if out or not shown[len(side)] else "positive" if positive else "negative" * (macro == 0)
+                "" if out or not shown[len(side)] else "positive" if positive else "negative" * negative
             )
     labels, lengths = torch.tensor([*chain(*parts)]), torch.tensor([len(part) for part in parts])
-    events = macro_segments(labels, lengths)
-    weights, targets = examples((0, 1), events, torch.tensor(left_out), torch.tensor(shown), window)
+    segments = macro_segments(labels, lengths)
+    given = segments, torch.tensor(left_out), torch.tensor(shown), window, whole_past, lengths
+    weights, targets = examples((0, 1), *given)
     for name, own in (("positive", targets), ("negative", ~targets)):
         expected = torch.tensor([float(found == name) for found in side])
         torch.testing.assert_close(weights * own, expected / max(2 * float(expected.sum()), 1))
+
+
+def changes_of(labels, lengths):
+    return [one for one in macro_segments(labels, lengths) if (one.macro, one.following) == (0, 1)]
+
+
+def dealt(lengths):
+    """The fold of every trajectory, as `fit` deals them."""
+    return folds_of(len(lengths), SWITCH_FOLDS, torch.Generator().manual_seed(0))
+
+
+def unrecognisable(seed, n=20, length=11, n_actions=6):
+    """Noise that changes its macro-action after two to four frames, and says nothing of it."""
+    generator = torch.Generator().manual_seed(seed)
+    labels = (torch.arange(length) >= torch.randint(2, 5, (n, 1), generator=generator)).long().flatten()
+    levels = torch.randint(0, 256, (6, n * length), dtype=torch.uint8, generator=generator)
+    actions = torch.randint(0, n_actions, (n * length,), generator=generator)
+    return StumpLearner(SortedLevels.build(levels)), labels, torch.full((n,), length), actions
+
+
+def test_a_margin_is_the_score_less_the_threshold_of_the_other_folds():
+    learner, labels, lengths, _ = unrecognisable(0)
+    switches = fit(learner, labels, lengths, rounds=20)
+    fold_of, changes = dealt(lengths), changes_of(labels, lengths)
+    chosen = []
+    for fold in range(SWITCH_FOLDS):
+        others = [one for one in changes if fold_of[one.trajectory] != fold]
+        chosen.append(best_threshold(others, switches.scores[:, 0]))
+    own = torch.tensor(chosen)[fold_of].repeat_interleave(lengths)
+    torch.testing.assert_close(switches.margins[:, 0], switches.scores[:, 0] - own)
+    assert len(set(chosen)) > 1, "or the folds could all have chosen together"
+    assert switches.thresholds.tolist() == pytest.approx([best_threshold(changes, switches.scores[:, 0])])
+    share = recognised_share(changes, switches.margins[:, 0])
+    assert switches.recognised.tolist() == pytest.approx([share])
+
+
+def test_a_change_counts_where_the_cues_of_the_other_folds_allow_it():
+    """Ten changes of fifteen follow action 1, five action 2: without some of the ten, both are cues."""
+    learner, labels, lengths = trajectories(n=15)
+    change = (labels.diff(prepend=labels[:1]) > 0).nonzero()[:, 0]
+    actions = torch.zeros_like(labels)
+    fold_of = dealt(lengths)
+    late = torch.zeros(15, dtype=torch.bool)
+    late[torch.cat([(fold_of == fold).nonzero()[:2, 0] for fold in (0, 1)])] = True
+    actions[change - 1] = 1 + late.long()  # 2 before four changes: two in either fold
+    switches = fit(learner, labels, lengths, actions=actions)
+    assert switches.cues == ((1, 2),)
+    before = actions.roll(1)
+    before[lengths.cumsum(0) - lengths] = 0
+    for fold in range(SWITCH_FOLDS):
+        others = actions[change - 1][fold_of != fold].bincount(minlength=3)
+        cues = [1] if int(others[1]) >= COVERED * int(others.sum()) else [1, 2]
+        inside = (fold_of == fold).repeat_interleave(lengths)
+        barred = ~torch.isin(before, torch.tensor(cues))
+        assert torch.equal(switches.margins[:, 0].isinf()[inside], barred[inside])
+        assert (cues == [1]) == (fold in (0, 1))
+    assert switches.recognised.tolist() == pytest.approx([11 / 15]), "all but the four that follow action 2"
+
+
+def test_changes_that_cannot_be_recognised_are_recognised_by_chance_alone():
+    """Thresholds and cues that are tuned on the changes they are tried on claim twice as much and more.
+
+    Of scores at random the change's is the only one of k + 1 above a threshold k^k / (k + 1)^(k + 1) times
+    at best: 0.15, 0.11 and 0.08 for the k = 2, 3, 4 frames before it.
+    """
+    nested, tuned = [], []
+    for seed in range(10):
+        learner, labels, lengths, actions = unrecognisable(seed)
+        switches = fit(learner, labels, lengths, actions=actions)
+        nested.append(switches.mean_recognised)
+        changes = changes_of(labels, lengths)
+        tuned.append(recognised_share(changes, switches.scores[:, 0] - switches.thresholds))
+    assert sum(nested) / 10 <= (0.15 + 0.11 + 0.08) / 3
+    assert sum(tuned) / 10 > 2 * sum(nested) / 10
+
+
+def starting(told=True, seed=0, n=15):
+    """Trajectories that start with 0 or 1 and change to the other; column 5 of the first frames tells."""
+    learner, labels, lengths = trajectories(n, seed=seed)
+    generator = torch.Generator().manual_seed(seed)
+    begun = torch.randint(0, 2, (n,), generator=generator)
+    begun[:2] = torch.tensor([0, 1])
+    levels = learner.data.levels.clone()
+    firsts = lengths.cumsum(0) - lengths
+    if told:
+        for later in range(3):
+            levels[5, firsts + later] = (200 * begun).to(torch.uint8)
+    return StumpLearner(SortedLevels.build(levels)), labels ^ begun.repeat_interleave(lengths), lengths, begun
+
+
+def test_the_first_frame_tells_with_which_macro_action_a_trajectory_starts():
+    learner, labels, lengths, begun = starting()
+    switches = fit(learner, labels, lengths)
+    assert switches.pairs == ((0, 1), (1, 0)) and switches.starts == (0, 1)
+    assert switches.first.tolist() == begun.tolist()
+    assert switches.scores.shape == switches.margins.shape == (len(labels), 2)
+    scores = switches.classifier.scores(Frames(learner.data.levels))[:, :, 0]
+    assert scores.shape[1] == 4, "one problem for every change, then one for every start"
+    at_first = scores[lengths.cumsum(0) - lengths, 2:]
+    assert at_first.argmax(1).tolist() == begun.tolist()
+
+
+def test_the_start_is_told_by_classifiers_that_never_saw_the_trajectory():
+    """Where nothing tells it they are right by chance, those that saw all of them mostly."""
+    right, seen = [], []
+    for seed in range(4):
+        learner, labels, lengths, begun = starting(told=False, seed=seed)
+        switches = fit(learner, labels, lengths, rounds=40)
+        scores = switches.classifier.scores(Frames(learner.data.levels))[lengths.cumsum(0) - lengths, 2:, 0]
+        right.append(float((switches.first == begun).float().mean()))
+        seen.append(float((scores.argmax(1) == begun).float().mean()))
+    assert sum(right) / 4 < 0.65 and sum(seen) / 4 > 0.8
+
+
+def test_a_start_alone_needs_no_classifier():
+    learner, labels, lengths = trajectories()
+    switches = fit(learner, labels, lengths, rounds=3)
+    assert switches.starts == (0,) and not switches.first.any()
+    assert switches.classifier.scores(Frames(learner.data.levels)).shape[1] == 1
+
+
+def test_starts_differ_where_nothing_ever_changes():
+    learner, _, lengths, begun = starting()
+    switches = fit(learner, begun.repeat_interleave(lengths), lengths)
+    assert switches.pairs == () and switches.starts == (0, 1) and len(switches.thresholds) == 0
+    assert switches.first.tolist() == begun.tolist()
+    assert switches.classifier.scores(Frames(learner.data.levels)).shape[1] == 2
+
+
+def test_without_left_out_scores_thresholds_and_cues_are_not_chosen():
+    learner, labels, lengths = trajectories()
+    actions = (labels.diff(prepend=labels[:1]) > 0).roll(-1).long()
+    off = fit(learner, labels, lengths, actions=None, calibrated=False)
+    assert off.thresholds.tolist() == [0.0] and off.cues == ()
+    torch.testing.assert_close(off.margins, off.scores)
+    on = fit(learner, labels, lengths, actions=actions)
+    assert on.thresholds.tolist() != [0.0] and on.cues == ((1,),)
