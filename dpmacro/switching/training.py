@@ -18,12 +18,12 @@ from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.boosting.losses import MARGIN_LIMIT, exponentials_of
 from dpmacro.boosting.stopping import BestRound
 from dpmacro.segmentation.segments import Segment, macro_segments, starting_macros
+from dpmacro.switching.examples import cues_of, examples, start_examples
 from dpmacro.switching.functions import SwitchFunctions, cued
 from dpmacro.switching.threshold import best_threshold, recognised_share
 
-__all__ = ["SWITCH_FOLDS", "SwitchSettings", "examples", "fit_switches"]
+__all__ = ["SWITCH_FOLDS", "SwitchSettings", "fit_switches"]
 
-COVERED = 0.75  # of the changes, by their cues
 SWITCH_FOLDS = 5  # of trajectories; one function for each leaves it out, one more sees all
 
 
@@ -128,7 +128,7 @@ def fit_switches(
             for shown in [fold.asked[:, place] if settings.focused else torch.ones(n_frames).bool()]
         ),
         *(
-            _start_examples(start, segments, fold.left_out, n_frames, settings.window)
+            start_examples(start, segments, fold.left_out, n_frames, settings.window)
             for start in asking
             for fold in folds
         ),
@@ -169,7 +169,7 @@ def _fold(
     if actions is None or not pairs:
         return _Fold(left_out, (), torch.ones(int(lengths.sum()), len(pairs), dtype=torch.bool))
     inside = [one for one in segments if not left_out[one.trajectory]]
-    cues = tuple(_cues(pair, inside, actions) for pair in pairs)
+    cues = tuple(cues_of(pair, inside, actions) for pair in pairs)
     return _Fold(left_out, cues, cued(actions, lengths, cues))
 
 
@@ -244,89 +244,3 @@ def _boosted(
         if bool(boosting.ended.all()):
             break
     return held_out if settings.early_stopping else own_scores(), kept
-
-
-def examples(
-    pair: tuple[int, int],
-    segments: Sequence[Segment],
-    left_out: Bool[Tensor, " trajectories"],
-    shown: Bool[Tensor, " frames"],
-    window: int,
-    whole_past: bool,
-    lengths: Int64[Tensor, " trajectories"],
-) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """Base weights, half a side, and targets of a switch function that never sees what is left out.
-
-    Args:
-        pair: (from, to) macro-actions.
-        segments: of all trajectories.
-        left_out: trajectories without examples.
-        shown: frames that may be examples.
-        window: J, the positive frames from a change on; fewer where the next segment is shorter.
-        whole_past: whether the negatives are all frames of the trajectory before a change of the pair (the
-            paper's), instead of those of all segments of the pair's first macro-action.
-        lengths: frames of every trajectory.
-    """
-    weights = torch.zeros(len(shown))
-    targets = torch.zeros(len(shown), dtype=torch.bool)
-    firsts = (lengths.cumsum(0) - lengths).tolist()
-    for segment in segments:
-        changes = (segment.macro, segment.following) == pair
-        if segment.macro != pair[0] or left_out[segment.trajectory] or (whole_past and not changes):
-            continue
-        weights[firsts[segment.trajectory] if whole_past else segment.start : segment.stop] = 1
-        if changes:
-            positives = slice(segment.stop, min(segment.stop + window, segment.following_stop))
-            weights[positives] = 1
-            targets[positives] = True
-    return _balanced(weights * shown, targets), targets
-
-
-def _start_examples(
-    start: int,
-    segments: Sequence[Segment],
-    left_out: Bool[Tensor, " trajectories"],
-    n_frames: int,
-    window: int,
-) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """Likewise for a start: the first frames, `window` at most, of trajectories that begin so and others."""
-    weights = torch.zeros(n_frames)
-    targets = torch.zeros(n_frames, dtype=torch.bool)
-    seen = -1
-    for segment in segments:
-        if segment.trajectory == seen:
-            continue
-        seen = segment.trajectory
-        if not left_out[segment.trajectory]:
-            first = slice(segment.start, min(segment.start + window, segment.stop))
-            weights[first] = 1
-            targets[first] = segment.macro == start
-    return _balanced(weights, targets), targets
-
-
-def _balanced(
-    weights: Float[Tensor, " frames"], targets: Bool[Tensor, " frames"]
-) -> Float[Tensor, " frames"]:
-    """Weights of which positives and negatives have half each."""
-    weights = weights.clone()
-    for side in (targets, ~targets):
-        weights[side] /= (2 * weights[side].sum()).clamp(min=1)
-    return weights
-
-
-def _cues(
-    pair: tuple[int, int], segments: Sequence[Segment], actions: Int64[Tensor, " frames"]
-) -> tuple[int, ...]:
-    """The actions that come right before most changes of a pair, the fewest that cover `COVERED` of them.
-
-    Not all: a segmentation that is a frame or two late has the action after the change there. Every action,
-    where the segments show no such change.
-    """
-    before = [one.stop - 1 for one in segments if (one.macro, one.following) == pair]
-    actions = actions.cpu()
-    if not before:
-        return tuple(actions.unique().tolist())
-    counts = actions[before].bincount()
-    order = counts.argsort(descending=True, stable=True)
-    enough = int((counts[order].cumsum(0) < COVERED * len(before)).sum()) + 1
-    return tuple(sorted(order[:enough].tolist()))
