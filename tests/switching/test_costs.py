@@ -1,6 +1,7 @@
 """What switch functions charge a segmentation, against a plain loop over frames."""
 
 import math
+from itertools import pairwise
 
 import pytest
 import torch
