@@ -75,7 +75,7 @@ def _policy(kind: str, images: Any) -> Any:
 
     pairs = tuple(itertools.permutations(range(MACROS), 2))
     config = PolicyConfig(
-        "dpboost", MACROS, 0, ("a", "b", "c"), images.shape[1:3], kind, pairs, (0.0,) * len(pairs)
+        "dpboost", MACROS, (0,), ("a", "b", "c"), images.shape[1:3], kind, pairs, (0.0,) * len(pairs)
     )
     parts = stumps(ROUNDS, MACROS, 3), stumps(SWITCH_ROUNDS, len(pairs), 1)
     return MacroPolicy.compact(config, features, quantiser, *parts)

@@ -61,18 +61,20 @@ def dpmacro(source: Source, seed: int, quick: bool) -> Found:
 
     Images become the default's rectangles; numbers are taken as they are.
     """
-    data: Any = source.frames
-    if source.frames.ndim == 4:
+    macros, bound = source.macros, max(source.changes)
+    small: dict[str, Any] = {"rounds": 10, "restarts": 4, "switch_rounds": 20} if quick else {}
+    dpboost = DPBoost(macros=macros, max_transitions=bound, seed=seed, **small)
+    if source.frames.ndim == 2:
+        labels = dpboost.fit(source.frames, source.actions, source.lengths).labels_
+    else:
         generator = torch.Generator().manual_seed(seed)
         planner, (height, width) = PlannerOptions(), source.frames.shape[1:3]
         features = make_features(planner.features, height, width, planner.rectangles, generator)
         plan = Plan(features.count, features.count, 0, planner.memory_limit)
         images, lengths = torch.from_numpy(source.frames), torch.from_numpy(source.lengths)
         data = prepare(images, lengths, features, plan, generator)[2]
-    macros, bound = source.macros, max(source.changes)
-    small: dict[str, Any] = {"rounds": 10, "restarts": 4, "discovery_rounds": 10} if quick else {}
-    found = DPBoost(macros, bound, seed=seed, **small).fit(data, source.actions, source.lengths)
-    return Found(found.labels.numpy(), f"Q={macros}, S={bound}")
+        labels = dpboost.fit_levels(data, source.actions, source.lengths).labels
+    return Found(labels.numpy(), f"Q={macros}, S={bound}")
 
 
 METHODS: dict[str, Callable[[Source, int, bool], Found]] = {"dpmacro": dpmacro, **PEERS}

@@ -1,9 +1,9 @@
-"""Which criterion, from the demonstrations alone, tells the true segmentation from its rivals.
+"""Which criterion, from the demonstrations alone, finds the true segmentation among candidates.
 
 python benchmarks/bench_selectors.py --sources='[digits]' --seeds='[0, 1]'
 
-DPBoost finds and judges rivals, told Q and the largest true number of changes. Every criterion picks one of
-them; the truth, which no criterion sees, says what that one is worth beside the best there was. A second
+DPBoost finds and scores candidates, told Q and the largest true number of changes. Every criterion picks one
+of them; the truth, which no criterion sees, says what that one is worth beside the best there was. A second
 table compares the final segmentation with switch functions in the dynamic program (`switch_weight` 1) and
 without (0). Rows are written after every fit; what is there already, of the same data, is not found anew
 without --fresh=true.
@@ -21,15 +21,15 @@ from typing import Any
 import torch
 from report import header
 from segmentation_sources import QUICK_RULES, RULES, TOLERANCES, Source, check_recorded, sources
-from selector_scores import choices, fit_table, picture, table
+from selector_scores import choices, fit_table, picture, rule_ranks, table
 from torch import Tensor
 from tqdm import tqdm
 
-from dpmacro.boosting.crossfit import bounded_deviance
+from dpmacro.boosting.losses import class_targets, exponentials_of
 from dpmacro.data.synthetic import digits
-from dpmacro.discovery.candidates import MARGIN, Judged
+from dpmacro.discovery.candidates import Candidate, left_out_charges
 from dpmacro.discovery.dpboost import DPBoost
-from dpmacro.discovery.result import Search
+from dpmacro.discovery.result import Discovery
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features
 from dpmacro.features.levels import SortedLevels
@@ -37,20 +37,19 @@ from dpmacro.features.memory import Plan
 from dpmacro.features.quantising import Quantiser
 from dpmacro.figures import save
 from dpmacro.metrics import segmentation_scores
-from dpmacro.segmentation.marginals import costs_without
 from dpmacro.segmentation.recursion import segment
 from dpmacro.training.options import PlannerOptions
 from dpmacro.utils import cli
 from dpmacro.utils.files import replacing
 
 NOTES = """\
-Truth: accuracy of frames, boundary F1 at the tolerance given. Regret: by how much the best rival beats the
-one chosen; of rivals that a criterion ties, the mean. rho: Spearman's rank correlation of criterion and
-accuracy over the rivals of a case, mean over the cases that have one. n: cases and seeds. With one trajectory
-nothing is left out for switch functions: their detection is that on training data, and nothing is causal."""
-REACH = 5  # frames on either side of one that context may not see
+Truth: accuracy of frames, boundary F1 at the tolerance given. Regret: by how much the best candidate is
+better than the one chosen; of candidates that a criterion ties, the mean. rho: Spearman's rank correlation
+of criterion and accuracy over the candidates of a case, mean over the cases that have one. n: cases and
+seeds. With one trajectory nothing is left out for switch functions: the changes that they recognise are of
+training data, and the causal criteria have no say."""
 SPLIT = 6  # trajectories that the digits are cut into, beside the whole
-WEIGHTS = (1.0, 0.0)  # of the switch functions; the first one's rivals are judged
+WEIGHTS = (1.0, 0.0)  # of the switch functions; the candidates of the first are scored
 TRUTH = ("accuracy", "precision", "recall", "boundary_f1")
 KEY = ("group", "source", "case", "data", "seed")
 
@@ -97,11 +96,11 @@ class SelectorOptions:
 
 
 def main(options: SelectorOptions) -> None:
-    """Fit and judge, writing the rows as they come; print the tables, also of an interrupted run."""
+    """Fit and score, writing the rows as they come; print the tables, also of an interrupted run."""
     check_recorded(options.sources, options.two_flags, options.babyai)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     print("\n".join(header(shlex.join(["python", *sys.orig_argv[1:]]))), flush=True)
-    rivals, fits = _read(options.rows)
+    candidates, fits = _read(options.rows)
     try:
         with tqdm(unit="fit") as bar:
             for group, seed, source in _cases(options):
@@ -114,16 +113,16 @@ def main(options: SelectorOptions) -> None:
                     setting = {"switch_weight": weight, "rounds": options.rounds}
                     if options.fresh or not any(_of(row, key | setting) for row in fits):
                         data = _sorted_levels(source, seed) if data is None else data
-                        found, search = _fitted(source, data, seed, weight, options)
+                        found, discovery = _fitted(source, data, seed, weight, options)
                         fits = [row for row in fits if not _of(row, case | {"switch_weight": weight})]
                         fits.append(key | setting | found)
                         if weight == WEIGHTS[0]:
-                            rivals = [row for row in rivals if not _of(row, case)]
-                            rivals += [key | row for row in judged_rows(search, source)]
-                        _write(rivals, fits, options.rows)
+                            candidates = [row for row in candidates if not _of(row, case)]
+                            candidates += [key | row for row in candidate_rows(discovery, source)]
+                        _write(candidates, fits, options.rows)
                     bar.update()
     finally:
-        chosen = choices(rivals)
+        chosen = choices(candidates)
         print("\n".join([*table(chosen), "", *fit_table(fits)]))
         print(NOTES)
         print(f"rows     {options.rows}")
@@ -132,41 +131,37 @@ def main(options: SelectorOptions) -> None:
             print(f"picture  {options.rows.with_suffix('.png')}")
 
 
-def judged_rows(search: Search, source: Source) -> list[Row]:
-    """A row for every rival: its truth, and every criterion, None where it has no say."""
-    actions, lengths = torch.from_numpy(source.actions), torch.from_numpy(source.lengths)
+def candidate_rows(discovery: Discovery, source: Source) -> list[Row]:
+    """A row for every candidate: its truth, and every criterion, None where it has no say."""
     rows = []
-    for place, rival in enumerate(search.judged):
-        found = criteria(rival, search, actions, lengths)
+    ranks = rule_ranks(discovery.scores)
+    for place, (candidate, rank) in enumerate(zip(discovery.candidates, ranks, strict=True)):
+        found = criteria(candidate, discovery) | {"rule": rank}
         finite = {name: value if abs(value) < torch.inf else None for name, value in found.items()}
-        rows.append({"rival": place, **_truth(rival.labels, source), **finite})
+        rows.append({"candidate": place, **_truth(candidate.labels, source), **finite})
     return rows
 
 
-def criteria(rival: Judged, search: Search, actions: Tensor, lengths: Tensor) -> dict[str, float]:
-    """What can be said of a rival without the truth; nan or infinite where a criterion has no say.
+def criteria(candidate: Candidate, discovery: Discovery) -> dict[str, float]:
+    """What can be said of a candidate without the truth; nan or infinite where a criterion has no say.
 
-    Losses are means over frames. `refitted_loss` and `context_loss` are those of labels found anew on
-    left-out frames: the cheapest segmentation, and for every frame the best label by frames more than
-    `REACH` away; `unstable` is the share of frames that the former changes.
+    Losses are means over frames. `refitted_loss` is that of labels found anew on left-out frames, the
+    cheapest segmentation; `unstable` is the share of frames that it labels otherwise.
     """
-    frames, bound = torch.arange(len(actions)), search.max_transitions
-    targets = torch.nn.functional.one_hot(actions, rival.scores.shape[2]).bool()[:, None]
-    margins = torch.where(targets, rival.scores, -rival.scores)
-    charges = bounded_deviance(rival.scores, targets, MARGIN)
-    again = segment(charges, lengths, bound)
-    context = costs_without(charges, lengths, bound, REACH).argmin(1)
-    same = (search.candidates.labels == rival.labels).all(1)
-    training = min(search.candidates.loss[-1][same].tolist(), default=float("nan"))
-    verdict = asdict(rival.verdict)
-    if len(lengths) < 2:
-        verdict |= {name: float("nan") for name in ("causal_loss", "causal_error", "gain", "gain_error")}
-    return verdict | {
+    task, labels = discovery.task, candidate.labels
+    targets = class_targets(task.actions, task.n_actions)
+    exponential = exponentials_of(candidate.left_out, targets).sum(2)
+    again = segment(left_out_charges(candidate, task), task.lengths, discovery.max_transitions)
+    same = (discovery.alternated.labels == labels).all(1)
+    training = min(discovery.alternated.loss[-1][same].tolist(), default=float("nan"))
+    scores = candidate.scores.scalars()
+    if task.n_groups < 2:
+        scores["causal_error"] = float("nan")
+    return scores | {
         "training_loss": training,
-        "exponential_loss": float((-margins).exp().sum(2)[frames, rival.labels].mean()),
-        "refitted_loss": float(again.cost.sum()) / len(actions),
-        "context_loss": float(charges[frames, context].mean()),
-        "unstable": float((again.labels != rival.labels).float().mean()),
+        "exponential_loss": float(exponential[torch.arange(len(labels)), labels].mean()),
+        "refitted_loss": float(again.cost.sum()) / len(labels),
+        "unstable": float((again.labels != labels).float().mean()),
     }
 
 
@@ -200,13 +195,19 @@ def _sorted_levels(source: Source, seed: int) -> SortedLevels:
 
 def _fitted(
     source: Source, data: SortedLevels, seed: int, weight: float, options: SelectorOptions
-) -> tuple[Row, Search]:
-    small: dict[str, Any] = {"restarts": 4, "discovery_rounds": 10} if options.quick else {}
-    rounds = min(options.rounds, 10) if options.quick else options.rounds
-    planner = DPBoost(source.macros, max(source.changes), rounds, seed=seed, switch_weight=weight, **small)
-    result = planner.fit(data, source.actions, source.lengths)
-    assert result.search is not None, "truth without a change"
-    return _truth(result.labels, source), result.search
+) -> tuple[Row, Discovery]:
+    small: dict[str, Any] = {"restarts": 4, "switch_rounds": 20} if options.quick else {}
+    dpboost = DPBoost(
+        macros=source.macros,
+        max_transitions=max(source.changes),
+        rounds=min(options.rounds, 10) if options.quick else options.rounds,
+        seed=seed,
+        switch_weight=weight,
+        **small,
+    )
+    result = dpboost.fit_levels(data, source.actions, source.lengths)
+    assert result.discovery is not None, "truth without a change"
+    return _truth(result.labels, source), result.discovery
 
 
 def _truth(labels: Tensor, source: Source) -> Row:
@@ -219,21 +220,21 @@ def _of(row: Row, key: Row) -> bool:
 
 
 def _read(path: Path) -> tuple[list[Row], list[Row]]:
-    """Rivals and fits in the file, if it is there. Raises ValueError where it is another's."""
+    """Candidates and fits in the file, if it is there. Raises ValueError where it is another's."""
     if not path.exists():
         return [], []
     try:
         stored = json.loads(path.read_text())
-        rivals, fits = stored["rivals"], stored["fits"]
-        assert all(name in row for row in rivals + fits for name in KEY)
+        candidates, fits = stored["candidates"], stored["fits"]
+        assert all(name in row for row in candidates + fits for name in KEY)
     except (ValueError, KeyError, TypeError, AssertionError) as error:
         raise ValueError(f"{path} holds no rows of this benchmark: give another --output") from error
-    return rivals, fits
+    return candidates, fits
 
 
-def _write(rivals: list[Row], fits: list[Row], path: Path) -> None:
-    """Three lists, a row a line: what was judged, what every criterion would choose of it, and the fits."""
-    parts = {"rivals": rivals, "choices": choices(rivals), "fits": fits}
+def _write(candidates: list[Row], fits: list[Row], path: Path) -> None:
+    """Three lists, a row a line: what was scored, what every criterion would choose of it, and the fits."""
+    parts = {"candidates": candidates, "choices": choices(candidates), "fits": fits}
     lists = [
         f'"{name}": [\n' + ",\n".join(json.dumps(row) for row in rows) + "\n]" for name, rows in parts.items()
     ]

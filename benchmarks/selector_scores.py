@@ -1,8 +1,7 @@
-"""What a criterion's choice among rival segmentations is worth, as rows, tables and a picture."""
+"""What a criterion's choice among candidate segmentations is worth, as rows, tables and a picture."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 from segmentation_sources import TOLERANCES
 
-from dpmacro.discovery.candidates import Verdict, best_verdict
+from dpmacro.discovery.criteria import CandidateScores, best_candidate
 from dpmacro.figures.style import FAINT, PALETTE, WIDTH, bare, legend, set_title
 
 __all__ = ["CRITERIA", "choices", "fit_table", "picture", "rule_ranks", "table"]
@@ -22,12 +21,11 @@ CRITERIA = {  # name: the sign that makes less of it better
     "refitted_loss": 1,
     "context_loss": 1,
     "unstable": 1,
-    "detected": -1,
+    "recognised": -1,
     "causal_loss": 1,
     "causal_error": 1,
+    "rule": 1,  # the order in which DPBoost would pick them
 }
-RULE = "rule"
-UNKNOWN = {"causal_loss": np.inf, "causal_error": 1.0, "gain": -np.inf, "gain_error": 0.0}  # not left out
 METRICS = {  # heading: metric, how cases are summed up
     "accuracy": ("accuracy", np.nanmean),
     "regret": ("regret", np.nanmean),
@@ -36,30 +34,29 @@ METRICS = {  # heading: metric, how cases are summed up
     "F1 regret": ("boundary_f1_regret", np.nanmean),
     "rho": ("spearman", np.nanmean),
 }
-CHANCE, ORACLE = "any rival", "best rival"
+CHANCE, ORACLE = "any candidate", "best candidate"
 NAMED = 42  # letters of a case
 CASE = ("group", "source", "case", "data", "seed")
 
 Row = dict[str, Any]
 
 
-def rule_ranks(verdicts: Sequence[Verdict]) -> list[int]:
-    """The place of each in the order in which `best_verdict` picks them, those picked already taken away."""
-    left, order = list(range(len(verdicts))), []
+def rule_ranks(scores: Sequence[CandidateScores]) -> list[int]:
+    """The place of each in the order in which `best_candidate` picks them, picked ones taken away."""
+    left, order = list(range(len(scores))), []
     while left:
-        order.append(left.pop(best_verdict([verdicts[k] for k in left])))
-    return [order.index(k) for k in range(len(verdicts))]
+        order.append(left.pop(best_candidate([scores[k] for k in left])))
+    return [order.index(k) for k in range(len(scores))]
 
 
-def choices(rivals: Iterable[Row]) -> list[Row]:
+def choices(candidates: Iterable[Row]) -> list[Row]:
     """A row (group, source, case, data, seed, criterion, metric, value) for every case, criterion and metric.
 
-    `rule` is the order in which DPBoost would pick them, by the verdicts that the rows hold.
-    Beside the criteria stand a rival drawn at random and the best there is. A criterion that says nothing of
-    any rival of a case has no row there; one that says nothing of some chooses among the others.
+    Beside the criteria stand a candidate drawn at random and the best there is. A criterion that says nothing
+    of any candidate of a case has no row there; one that says nothing of some chooses among the others.
     """
     cases: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
-    for row in rivals:
+    for row in candidates:
         cases[tuple(row[name] for name in CASE)].append(row)
     rows = []
     for key, rows_of in cases.items():
@@ -69,7 +66,6 @@ def choices(rivals: Iterable[Row]) -> list[Row]:
             name: np.array([np.nan if row[name] is None else sign * row[name] for row in rows_of], float)
             for name, sign in CRITERIA.items()
         }
-        costs[RULE] = np.array(rule_ranks([_verdict(row) for row in rows_of]), float)
         costs |= {CHANCE: np.zeros(len(rows_of)), ORACLE: -accuracy}
         for criterion, cost in costs.items():
             if np.isfinite(cost).any():
@@ -116,9 +112,9 @@ def fit_table(fits: Iterable[Row]) -> list[str]:
 def picture(rows: Iterable[Row]) -> Figure:
     """Rank correlation with accuracy and regret of every criterion, a dot for every group of cases."""
     groups = _by_group(rows)
-    names = [name for name in [*CRITERIA, RULE, CHANCE] if any(name in found for found in groups.values())]
+    names = [name for name in [*CRITERIA, CHANCE] if any(name in found for found in groups.values())]
     figure = Figure(figsize=(WIDTH, 1.8 + 0.36 * len(names)), layout="constrained")
-    panels = {"spearman": "rank correlation with accuracy", "regret": "accuracy lost to the best rival"}
+    panels = {"spearman": "rank correlation with accuracy", "regret": "accuracy lost to the best candidate"}
     for axis, (metric, heading) in zip(figure.subplots(1, 2, sharey=True), panels.items(), strict=True):
         for place, found in enumerate(groups.values()):
             means = [_mean(found.get(name, {}).get(metric, [])) for name in names]
@@ -136,18 +132,12 @@ def picture(rows: Iterable[Row]) -> Figure:
         for boundary in np.arange(len(names) - 1) + 0.5:
             axis.axhline(boundary, color=FAINT, linewidth=0.5)
     legend(figure, [PALETTE[place % len(PALETTE)] for place in range(len(groups))], list(groups))
-    set_title(figure, "Which criterion tells the true segmentation from its rivals?")
+    set_title(figure, "Which criterion finds the true segmentation among candidates?")
     return figure
 
 
-def _verdict(row: Row) -> Verdict:
-    """The one that a row was made of."""
-    names = [field.name for field in fields(Verdict)]
-    return Verdict(**{name: UNKNOWN[name] if row[name] is None else row[name] for name in names})
-
-
 def _choice(cost: np.ndarray, accuracy: np.ndarray, boundary_f1: np.ndarray) -> dict[str, float]:
-    """Of the rivals that cost least, ties shared; no rank correlation where either side has no ranks."""
+    """Of the candidates that cost least, ties shared; no rank correlation where either side has no ranks."""
     stated = np.isfinite(cost)
     least = cost == cost[stated].min()
     found = {"accuracy": accuracy[least].mean(), "regret": accuracy.max() - accuracy[least].mean()}

@@ -100,7 +100,7 @@ PLANNERS = {
         once=True,
         swept=False,
     ),
-    # Exact, as the paper's search is.
+    # Without FAST: it searches in every round, as the paper does.
     "paper": Planner(
         "the paper's recipe, 2 macro-actions",
         ("--planner.recipe=paper", "--planner.macros=2"),

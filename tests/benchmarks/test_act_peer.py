@@ -57,7 +57,7 @@ def policy(tmp_path_factory):
         torch.randint(256, (4, 1), generator=generator).to(torch.uint8),
         torch.randn(4, 1, 2, 3, generator=generator),
     )
-    config = PolicyConfig("baseline", 1, 0, ACTIONS, (48, 64), "pixels", world=WORLD)
+    config = PolicyConfig("baseline", 1, (0,), ACTIONS, (48, 64), "pixels", world=WORLD)
     cuts = torch.arange(255, dtype=torch.int32).repeat(18432, 1)
     folder = tmp_path_factory.mktemp("policy")
     MacroPolicy.compact(config, Pixels.all(48, 64), Quantiser(cuts), stumps, None).save(folder)

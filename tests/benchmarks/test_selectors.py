@@ -3,7 +3,6 @@
 import json
 import re
 import sys
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -19,19 +18,19 @@ from bench_selectors import SelectorOptions, criteria, main  # noqa: E402
 from selector_scores import CRITERIA, choices, fit_table, picture, rule_ranks, table  # noqa: E402
 
 from dpmacro.discovery.alternation import Alternated  # noqa: E402
-from dpmacro.discovery.candidates import Judged, Task, Verdict, best_verdict  # noqa: E402
-from dpmacro.discovery.result import Search  # noqa: E402
+from dpmacro.discovery.candidates import Candidate, Task  # noqa: E402
+from dpmacro.discovery.criteria import CandidateScores, best_candidate  # noqa: E402
+from dpmacro.discovery.result import Discovery  # noqa: E402
 from dpmacro.figures import to_image  # noqa: E402
 from dpmacro.switching.functions import SwitchFunctions  # noqa: E402
 from dpmacro.utils import cli  # noqa: E402
 
 CASE = {"group": "two_flags", "source": "two_flags", "case": "two_flags phase", "data": "ab", "seed": 0}
-VERDICT = [field.name for field in fields(Verdict)]
-UNSEEN = dict.fromkeys([*CRITERIA, *VERDICT], 1.0)
+UNSEEN = dict.fromkeys(CRITERIA, 1.0)
 
 
-def rivals(**columns):
-    """A row for every rival; criteria that are not given say the same of all."""
+def candidates(**columns):
+    """A row for every candidate; criteria that are not given say the same of all."""
     count = len(next(iter(columns.values())))
     told = {"accuracy": [0.5] * count, "boundary_f1": [0.5] * count} | columns
     return [CASE | UNSEEN | {name: values[k] for name, values in told.items()} for k in range(count)]
@@ -43,55 +42,65 @@ def value(rows, criterion, metric):
     return found[0] if found else None
 
 
-def test_a_criterion_is_worth_the_rival_it_chooses():
+def test_a_criterion_is_worth_the_candidate_it_chooses():
     rows = choices(
-        rivals(
+        candidates(
             accuracy=[0.6, 0.9, 1.0],
             boundary_f1=[0.1, 0.7, 0.4],
             training_loss=[1.0, 2.0, 3.0],
-            detected=[0.1, 0.8, 0.7],
+            recognised=[0.1, 0.8, 0.7],
         )
     )
     assert value(rows, "training_loss", "accuracy") == 0.6
     assert value(rows, "training_loss", "regret") == pytest.approx(0.4)
     assert value(rows, "training_loss", "boundary_f1_regret") == pytest.approx(0.6)
     assert value(rows, "training_loss", "spearman") == pytest.approx(-1)
-    assert value(rows, "detected", "accuracy") == 0.9  # more is better
-    assert value(rows, "detected", "spearman") == pytest.approx(0.5)
-    assert value(rows, "best rival", "regret") == 0
+    assert value(rows, "recognised", "accuracy") == 0.9  # more is better
+    assert value(rows, "recognised", "spearman") == pytest.approx(0.5)
+    assert value(rows, "best candidate", "regret") == 0
 
 
 def test_ties_are_shared_and_have_no_ranks():
-    rows = choices(rivals(accuracy=[0.5, 1.0, 0.9], hindsight_loss=[2.0, 2.0, 3.0]))
+    rows = choices(candidates(accuracy=[0.5, 1.0, 0.9], hindsight_loss=[2.0, 2.0, 3.0]))
     assert value(rows, "hindsight_loss", "accuracy") == 0.75
-    assert value(rows, "unstable", "accuracy") == value(rows, "any rival", "accuracy") == pytest.approx(0.8)
+    assert (
+        value(rows, "unstable", "accuracy") == value(rows, "any candidate", "accuracy") == pytest.approx(0.8)
+    )
     assert value(rows, "unstable", "spearman") is None
 
 
 def test_a_criterion_without_a_say_has_no_choice():
-    rows = choices(rivals(accuracy=[1.0, 0.5, 0.6], training_loss=[None, 2.0, 1.0], causal_loss=[None] * 3))
+    rows = choices(
+        candidates(accuracy=[1.0, 0.5, 0.6], training_loss=[None, 2.0, 1.0], causal_loss=[None] * 3)
+    )
     assert value(rows, "training_loss", "accuracy") == 0.6
-    assert value(rows, "training_loss", "regret") == pytest.approx(0.4)  # beside all of the rivals
+    assert value(rows, "training_loss", "regret") == pytest.approx(0.4)  # beside all of the candidates
     assert value(rows, "causal_loss", "accuracy") is None
 
 
-def test_the_rule_is_that_of_dpboost():
-    seen = {"accuracy": [0.6, 1.0], "hindsight_loss": [1.0, 2.0], "detected": [0.9, 0.9]}
-    rows = rivals(**seen, gain=[-1.0, 0.1])
-    assert value(choices(rows), "rule", "accuracy") == 1.0  # the first is not runnable
-    rows = rivals(**seen, gain=[None, None], causal_loss=[None] * 2, causal_error=[None] * 2)
-    assert value(choices(rows), "rule", "accuracy") == 0.6  # in hindsight
-
-
 shares = st.floats(0, 1)
-verdicts = st.builds(Verdict, **dict.fromkeys(VERDICT, shares) | {"gain": st.floats(-1, 1)})
+losses = st.lists(shares, min_size=3, max_size=3).map(torch.tensor)
+scores = st.builds(
+    CandidateScores,
+    recognised=shares,
+    causal=losses,
+    causal_error=shares,
+    hindsight=losses,
+    context=losses,
+    alone=losses,
+)
 
 
-@given(st.lists(verdicts, min_size=1, max_size=8))
-def test_the_rule_ranks_all_and_its_choice_first(given_verdicts):
-    ranks = rule_ranks(given_verdicts)
-    assert sorted(ranks) == list(range(len(given_verdicts)))
-    assert ranks[best_verdict(given_verdicts)] == 0
+@given(st.lists(scores, min_size=1, max_size=8))
+def test_the_rule_ranks_all_and_its_choice_first(given_scores):
+    ranks = rule_ranks(given_scores)
+    assert sorted(ranks) == list(range(len(given_scores)))
+    best = ranks.index(0)
+    assert best == best_candidate(given_scores)
+    rest = given_scores[:best] + given_scores[best + 1 :]
+    if rest:
+        second = [rank for place, rank in enumerate(ranks) if place != best].index(1)
+        assert second == best_candidate(rest)
 
 
 def test_criteria_of_classifiers_that_are_right():
@@ -99,33 +108,34 @@ def test_criteria_of_classifiers_that_are_right():
     truth, actions = torch.tensor([0, 0, 0, 1, 1, 1]), torch.tensor([0, 1, 0, 1, 0, 1])
     lengths = torch.tensor([3, 3])
     right = torch.where(torch.nn.functional.one_hot(actions, 2).bool(), 2.0, -2.0)
-    scores = torch.where(truth[:, None] == torch.arange(2), 1.0, -1.0)[:, :, None] * right[:, None]
-    verdict = Verdict(**dict.fromkeys(VERDICT, 0.25))
-    switches = SwitchFunctions([], torch.zeros(0), torch.zeros(0), torch.zeros(6, 0), None)
+    left_out = torch.where(truth[:, None] == torch.arange(2), 1.0, -1.0)[:, :, None] * right[:, None]
+    part = torch.tensor([0.125, 0.125])
+    said = CandidateScores(0.5, part, 0.25, part, part, part)
+    nothing = torch.zeros(0)
+    switches = SwitchFunctions(
+        (), (0, 1), nothing, (), nothing, torch.zeros(6, 0), torch.zeros(6, 0), torch.tensor([0, 1]), None
+    )
     moved = torch.tensor([0, 0, 0, 0, 1, 1])
-    outcomes = Alternated(torch.stack([truth, truth, moved]), torch.tensor([[9.0, 9, 9], [0.3, 0.2, 0.4]]))
+    found = [Candidate(labels, said, left_out, switches) for labels in (truth, moved, 1 - truth)]
+    ends = Alternated(torch.stack([truth, truth, moved]), torch.tensor([[9.0, 9, 9], [0.3, 0.2, 0.4]]))
     task = Task(actions, lengths, torch.arange(2), 2, 2, 1, 0)
-    search = Search(task, outcomes, (), 0)
-    found = {
-        name: criteria(Judged(labels, verdict, scores, switches), search, actions, lengths)
-        for name, labels in (("true", truth), ("moved", moved), ("unknown", 1 - truth))
-    }
-    assert [found[name]["unstable"] for name in found] == pytest.approx([0, 1 / 6, 1])
-    assert found["true"]["training_loss"] == pytest.approx(0.2)  # the better of two outcomes alike
-    assert np.isnan(found["unknown"]["training_loss"])
+    true, other, unknown = (criteria(one, Discovery(task, ends, tuple(found), 0)) for one in found)
+    assert [one["unstable"] for one in (true, other, unknown)] == pytest.approx([0, 1 / 6, 1])
+    assert true["training_loss"] == pytest.approx(0.2)  # the better of two outcomes alike
+    assert np.isnan(unknown["training_loss"])
     small, large = 2 * np.exp(-2), 2 * np.exp(2)
-    assert found["true"]["exponential_loss"] == pytest.approx(small, rel=1e-5)
-    assert found["moved"]["exponential_loss"] == pytest.approx((5 * small + large) / 6, rel=1e-5)
+    assert true["exponential_loss"] == pytest.approx(small, rel=1e-5)
+    assert other["exponential_loss"] == pytest.approx((5 * small + large) / 6, rel=1e-5)
     bounded = 2 * np.log1p(np.exp(-2))  # margins cut off at 1
-    assert [found[name]["refitted_loss"] for name in found] == pytest.approx([bounded] * 3, rel=1e-5)
-    assert found["true"]["causal_error"] == 0.25
-    alone = criteria(Judged(truth, verdict, scores, switches), search, actions, torch.tensor([6]))
-    assert np.isnan(alone["causal_error"]) and np.isnan(alone["gain"])
+    assert [one["refitted_loss"] for one in (true, other, unknown)] == pytest.approx([bounded] * 3, rel=1e-5)
+    assert true["causal_error"] == 0.25 and true["causal_loss"] == 0.25
+    whole = Task(actions, torch.tensor([6]), torch.zeros(1, dtype=torch.int64), 2, 2, 1, 0)
+    assert np.isnan(criteria(found[0], Discovery(whole, ends, tuple(found), 0))["causal_error"])
 
 
 def test_tables_and_picture_have_every_group_and_criterion():
     columns = {"accuracy": [0.6, 0.9, 1.0], "training_loss": [1.0, 2.0, 3.0]}
-    rows = choices([*rivals(**columns), *({**row, "group": "babyai"} for row in rivals(**columns))])
+    rows = choices([*candidates(**columns), *({**row, "group": "babyai"} for row in candidates(**columns))])
     lines = table(rows)
     assert "two_flags: boundaries within 10 frames" in lines and "babyai: boundaries within 1 frames" in lines
     [line, _] = [line.split() for line in lines if line.startswith("training_loss")]
@@ -147,7 +157,7 @@ def test_a_run_is_written_and_resumed(tmp_path, capsys):
     printed = capsys.readouterr().out
     written = tmp_path / "rows_quick.json"
     stored = json.loads(written.read_text())
-    assert {row["group"] for row in stored["rivals"]} == {"digits, whole", "digits, 6 parts"}
+    assert {row["group"] for row in stored["candidates"]} == {"digits, whole", "digits, 6 parts"}
     assert {(row["group"], row["switch_weight"]) for row in stored["fits"]} == {
         (group, weight) for group in ("digits, whole", "digits, 6 parts") for weight in (0, 1)
     }
@@ -155,7 +165,7 @@ def test_a_run_is_written_and_resumed(tmp_path, capsys):
     assert not any(row["criterion"].startswith("causal") for row in whole)
     assert value(whole, "rule", "accuracy") is not None
     assert written.with_suffix(".png").stat().st_size > 1000
-    for row in stored["rivals"]:
+    for row in stored["candidates"]:
         row["accuracy"] = 0.125
     written.write_text(json.dumps(stored))
     main(SelectorOptions(**options))
@@ -176,7 +186,7 @@ def test_a_wrong_option_is_one_line(option, message):
         cli.parse(SelectorOptions, [option])
 
 
-@pytest.mark.parametrize("text", ['[{"benchmark": "round"}]', '{"rivals": [{}], "fits": []}', "no json"])
+@pytest.mark.parametrize("text", ['[{"benchmark": "round"}]', '{"candidates": [{}], "fits": []}', "no json"])
 def test_a_file_of_other_rows_is_one_line(tmp_path, text):
     other = tmp_path / "other.json"
     other.write_text(text)
