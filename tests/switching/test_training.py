@@ -14,9 +14,10 @@ from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.losses import MARGIN_LIMIT
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import macro_segments
+from dpmacro.switching.examples import COVERED, examples
 from dpmacro.switching.functions import causal_labels, cued
 from dpmacro.switching.threshold import best_threshold, recognised_share
-from dpmacro.switching.training import COVERED, SWITCH_FOLDS, SwitchSettings, examples, fit_switches
+from dpmacro.switching.training import SWITCH_FOLDS, SwitchSettings, fit_switches
 
 
 def fit(learner, labels, lengths, rounds=10, actions=None, on_round=lambda _: None, **settings):
