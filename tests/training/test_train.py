@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 
 import train
 from dpmacro.annotation.annotate import annotate
-from dpmacro.boosting.crossfit import FOLDS
+from dpmacro.boosting.crossfit import CLASSIFIER_FOLDS
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.images import ImageTransform
 from dpmacro.data.lerobot.reader import WORLD_FILE
@@ -220,7 +220,7 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
     monkeypatch.setattr("dpmacro.features.memory.LIBRARIES", 0)
     monkeypatch.setattr("dpmacro.features.memory.LEAST_COLUMNS", 20)
     frames, height, width, _ = Demonstrations.load(recorded).images.shape
-    tables = TABLES * 4 * 2 * (FINALISTS + LEADERS) * FOLDS * 3  # 2 macro-actions, 3 actions
+    tables = TABLES * 4 * 2 * (FINALISTS + LEADERS) * CLASSIFIER_FOLDS * 3  # 2 macro-actions, 3 actions
     limit = frames * (3 * height * width + tables + 150 + 4 * 100) / GIB
     monkeypatch.setattr("dpmacro.features.memory.VALUES", 1000)
     monkeypatch.setattr("dpmacro.features.memory.SAMPLED", 10)
@@ -253,6 +253,18 @@ def test_the_memory_of_mirror_images_is_planned(
     assert demand.switch_bytes < 3000 + images * demand.image_bytes
 
 
+def switch_learners(monkeypatch):
+    """The weak learners of switch functions that trainings will have made."""
+    made, make = [], training.WeakLearners.for_switches
+
+    def noted(*given):
+        made.append(make(*given))
+        return made[-1]
+
+    monkeypatch.setattr(training.WeakLearners, "for_switches", noted)
+    return made
+
+
 @pytest.mark.parametrize(
     ("declared", "given", "copies"),
     [(False, [], 1), (True, [], 2), (False, ["true"], 2), (True, ["false"], 1)],
@@ -263,21 +275,15 @@ def test_switch_functions_learn_from_mirror_images_of_a_symmetric_world(
     data = shutil.copytree(recorded, tmp_path / "data")
     about = json.loads((data / WORLD_FILE).read_text())
     (data / WORLD_FILE).write_text(json.dumps({**about, "symmetric": declared}))
-    held, fit = [], training.fit_switches
-    monkeypatch.setattr(
-        training, "fit_switches", lambda *given, **named: held.append(given[0]) or fit(*given, **named)
-    )
+    held = switch_learners(monkeypatch)
     options = [*(f"--dataset.symmetric={value}" for value in given), *SMALL]
     call(monkeypatch, f"--dataset.root={data}", f"--output_dir={tmp_path}/run", *options)
     assert {learner.n_frames for learner in held} == {copies * 30}
 
 
 def test_networks_mirror_images_and_need_no_mirrored_columns(recorded, tmp_path, monkeypatch):
-    held, fit = [], training.fit_switches
+    held = switch_learners(monkeypatch)
     monkeypatch.setattr("dpmacro.training.learners.with_mirror_images", None)
-    monkeypatch.setattr(
-        training, "fit_switches", lambda *given, **named: held.append(given[0]) or fit(*given, **named)
-    )
     options = ["--planner.switch_learner=convnet", "--planner.convnet.rounds=1", *SMALL]
     options += ["--dataset.symmetric=true"]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
