@@ -1,16 +1,24 @@
 """The alternation: an objective that never rises, under the bound, and what the labels cost."""
 
+import sys
+import types
+import warnings
+from pathlib import Path
+
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.boosting.loop import Boosting, class_targets
-from dpmacro.discovery.alternation import SwitchCosts, alternate
+from dpmacro.boosting.loop import Boosting
+from dpmacro.boosting.losses import class_targets
+from dpmacro.discovery import alternation
+from dpmacro.discovery.alternation import Alternated, ObjectiveWarning, alternate, pooled
 from dpmacro.discovery.starts import random_cuts
 from dpmacro.features.levels import SortedLevels
-from dpmacro.segmentation.recursion import transition_counts
+from dpmacro.segmentation.segments import transition_counts
+from dpmacro.switching.costs import SwitchCosts
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 LENGTHS = torch.tensor([30, 1, 25, 18])
@@ -35,18 +43,7 @@ def run(
     starts = random_cuts(LENGTHS, restarts, macros, bound, generator)
     learner = StumpLearner(SortedLevels.build(levels.to(device)))
     boosting = Boosting(learner, class_targets(actions, 3), restarts * macros, 0.3, generator)
-    given = (
-        actions,
-        LENGTHS,
-        starts,
-        macros,
-        bound,
-        rounds,
-        warmup,
-        "fit",
-        on_round or (lambda _: None),
-        extra,
-    )
+    given = actions, LENGTHS, starts, macros, bound, rounds, warmup, "fit", on_round, extra
     return alternate(boosting, *given), starts, boosting
 
 
@@ -160,5 +157,87 @@ def test_one_macro_action_and_nothing_to_learn_end_early():
 
 
 def test_switch_costs_are_those_of_one_segmentation():
-    with pytest.raises(AssertionError, match="one segmentation"):
+    with pytest.raises(ValueError, match="2 starts: they belong to one segmentation"):
         run(restarts=2, extra=charges())
+
+
+class Scripted(Boosting):
+    """Boosting whose losses are given round by round, and whose problems ended long ago or never do."""
+
+    def __init__(self, losses, ended):
+        learner = StumpLearner(SortedLevels.build(torch.zeros(1, losses.shape[1], dtype=torch.uint8)))
+        targets = class_targets(torch.arange(losses.shape[1]) % 2, 2)
+        super().__init__(learner, targets, losses.shape[2], 0.3, torch.Generator())
+        self.given, self.number = losses, 0
+        self.ended = torch.full((losses.shape[2],), ended)
+
+    def round(self, base):
+        self.number += 1
+        return torch.zeros(0, dtype=torch.int64)
+
+    def losses(self):
+        return self.given[self.number - 1]
+
+
+def scripted(losses, restarts=1, ended=False, alternate=alternate, **options):
+    """The alternation over one trajectory of those losses, with two macro-actions."""
+    n_frames = losses.shape[1]
+    given = torch.arange(n_frames) % 2, torch.tensor([n_frames]), torch.zeros(restarts, n_frames).long()
+    return alternate(Scripted(losses, ended), *given, 2, 1, len(losses), 0, "fit", **options)
+
+
+def test_it_goes_on_while_labels_change_though_no_problem_finds_anything():
+    """For five rounds the change moves, then it stays."""
+    cuts = torch.tensor([3, 4, 5, 6, 7, 7, 7, 7])
+    second = torch.arange(10) >= cuts[:, None]
+    right = torch.stack([~second, second], 2)
+    losses = torch.where(right, 1.0 - torch.arange(8)[:, None, None] / 100, 2.0)
+    reports = []
+    ended = scripted(losses, ended=True, on_round=reports.append)
+    assert [report.label_changes > 0 for report in reports] == [True] * 5 + [False]
+    assert len(ended.loss) == 6 and torch.equal(ended.labels[0], second[-1].long())
+
+
+RISING = torch.tensor([1.0, 0.9, 1.2, 1.1, 1.1])[:, None, None].expand(-1, 10, 2) + torch.eye(10, 2)
+
+
+def test_a_rising_objective_is_warned_of_and_training_goes_on():
+    reports = []
+    with pytest.warns(ObjectiveWarning, match=r"stage 'fit' rose in round 3, by 0\.\d+ of itself") as told:
+        ended = scripted(RISING, on_round=reports.append)
+    assert len(told) == 1 and len(reports) == len(ended.loss) == 5
+    assert float(ended.loss[2, 0]) > float(ended.loss[1, 0])
+
+
+def test_one_of_several_starts_that_rises_is_enough_for_a_warning():
+    both = torch.cat([torch.ones_like(RISING), RISING], 2)
+    with pytest.warns(ObjectiveWarning, match="rose in round 3"):
+        scripted(both, restarts=2)
+
+
+def test_what_rounding_explains_is_no_reason_to_warn():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scripted(torch.tensor([1.0, 1.00005])[:, None, None].expand(-1, 10, 2) + torch.zeros(2, 10, 2))
+
+
+def test_the_warning_does_not_hang_on_assertions(monkeypatch):
+    """Python leaves those out under -O."""
+    optimised = types.ModuleType("optimised")
+    monkeypatch.setitem(sys.modules, "optimised", optimised)
+    path = alternation.__file__
+    exec(compile(Path(path).read_text(), path, "exec", optimize=2), vars(optimised))
+    with pytest.warns(optimised.ObjectiveWarning, match="rose in round 3"):
+        assert len(scripted(RISING, alternate=optimised.alternate).loss) == 5
+
+
+def test_alternations_that_ended_early_are_pooled_as_they_ended():
+    long, short = (
+        Alternated(
+            torch.full((restarts, 3), rounds), torch.arange(1.0, rounds + 1)[:, None].repeat(1, restarts)
+        )
+        for rounds, restarts in ((4, 2), (2, 1))
+    )
+    both = pooled([long, short])
+    assert both.labels[:, 0].tolist() == [4, 4, 2]
+    assert both.loss.tolist() == [[1, 1, 1], [2, 2, 2], [3, 3, 2], [4, 4, 2]]

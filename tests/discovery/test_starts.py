@@ -11,7 +11,7 @@ from dpmacro.discovery.starts import (
     random_cuts,
     uniform_cuts,
 )
-from dpmacro.segmentation.recursion import transition_counts
+from dpmacro.segmentation.segments import transition_counts
 
 
 @settings(max_examples=25, deadline=None)
