@@ -1,4 +1,4 @@
-"""The selector prefers a segmentation that a switch function can follow to one that explains as well."""
+"""Left-out data prefers a segmentation that a switch function can follow to one that explains as well."""
 
 import pytest
 import torch
@@ -7,77 +7,119 @@ from visible import task_of, visible_change
 from dpmacro.discovery.candidates import (
     FINALISTS,
     LEADERS,
-    Verdict,
-    best_verdict,
+    action_charges,
     confidence,
     distinct,
-    judge,
+    score_candidates,
 )
+from dpmacro.discovery.criteria import best_candidate, standard_error
+from dpmacro.discovery.search import adopt
+
+LOOSE = [(2, 1), (2, 2), (2, 3), (4, 3)]  # Q and S that the true segmentation keeps
 
 
 @pytest.fixture(scope="module")
-def judged():
+def scored():
     data, actions, lengths, truth = visible_change()
     shifted = truth.view(12, 80).roll(9, 1).flatten()
     one = torch.zeros_like(truth)
     task = task_of(actions, lengths)
-    return task, truth, judge(data, task, torch.stack([shifted, truth, one]))
+    return task, truth, score_candidates(data, task, torch.stack([shifted, truth, one]))
 
 
-def by_labels(judged, labels):
-    return next(rival for rival in judged if torch.equal(rival.labels, labels))
+@pytest.fixture(scope="module")
+def adopted():
+    """The true segmentation, scored under bounds that are more and more loose."""
+    data, actions, lengths, truth = visible_change()
+    return [adopt(data, task_of(actions, lengths, *bounds), truth) for bounds in LOOSE]
 
 
-def test_the_true_segmentation_is_run_best(judged):
-    _, truth, rivals = judged
-    right, one = by_labels(rivals, truth).verdict, by_labels(rivals, torch.zeros_like(truth)).verdict
-    shifted = by_labels(rivals, truth.view(12, 80).roll(9, 1).flatten()).verdict
-    assert right.detected == 1.0
-    assert shifted.detected < 0.5
+def by_labels(scored, labels):
+    return next(one for one in scored if torch.equal(one.labels, labels))
+
+
+def test_the_true_segmentation_is_run_best(scored):
+    _, truth, found = scored
+    right, one = by_labels(found, truth).scores, by_labels(found, torch.zeros_like(truth)).scores
+    shifted = by_labels(found, truth.view(12, 80).roll(9, 1).flatten()).scores
+    assert right.recognised == 1.0
+    assert shifted.recognised < 0.5
     assert right.runnable and not shifted.runnable and not one.runnable
     assert right.causal_error < 0.6 * min(shifted.causal_error, one.causal_error)
-    assert right.gain > 3 * right.gain_error > 0
+    assert right.gain > 3 * standard_error(right.alone - right.causal) > 0
     assert abs(one.gain) < 1e-6  # the very classifier that it is compared with
-    assert rivals[best_verdict([rival.verdict for rival in rivals])].labels is by_labels(rivals, truth).labels
+    assert found[best_candidate([one.scores for one in found])].labels is by_labels(found, truth).labels
 
 
-def test_many_rivals_are_screened_by_how_well_their_changes_are_recognised():
+def test_losses_are_a_mean_over_frames_by_trajectory(scored):
+    task, truth, found = scored
+    right = by_labels(found, truth)
+    charges = action_charges(right.left_out, task, 1.0).gather(1, truth[:, None])[:, 0]
+    torch.testing.assert_close(right.scores.hindsight, charges.view(12, 80).sum(1) / 960)
+
+
+def test_many_candidates_are_screened_by_how_well_their_changes_are_recognised():
     data, actions, lengths, truth = visible_change()
     shifted = [truth.view(12, 80).roll(shift, 1).flatten() for shift in range(5, 19)]
     stages = []
-    found = judge(
-        data, task_of(actions, lengths), torch.stack([*shifted, truth]), lambda r: stages.append(r.stage)
-    )
+    given = data, task_of(actions, lengths), torch.stack([*shifted, truth])
+    found = score_candidates(*given, lambda report: stages.append(report.stage))
     assert stages.count("recognise") == 15
     assert len(found) <= FINALISTS + LEADERS
     assert torch.equal(found[0].labels, truth)
-    assert {tuple(rival.labels.tolist()) for rival in found} >= {tuple(own.tolist()) for own in shifted[:4]}
+    assert {tuple(one.labels.tolist()) for one in found} >= {tuple(own.tolist()) for own in shifted[:4]}
 
 
-def test_context_says_what_the_labels_are_worth_in_hindsight(judged):
-    _, truth, rivals = judged
-    right = by_labels(rivals, truth).verdict
+def test_context_says_what_the_labels_are_worth_in_hindsight(scored):
+    _, truth, found = scored
+    right = by_labels(found, truth).scores
     assert right.context_gain == pytest.approx(right.gain, rel=0.3)
-    # Labels that follow the actions themselves explain every frame, and nothing of frames without a voice.
-    data, actions, lengths, _ = visible_change()
+
+
+def test_labels_that_follow_the_actions_say_nothing_of_frames_without_a_voice():
+    """They explain every frame as well as the truth does; the frames around a frame tell no label of it."""
+    data, actions, lengths, truth = visible_change()
     task = task_of(actions, lengths, bound=79)
-    followed = judge(data, task, actions[None])[0].verdict
-    assert followed.hindsight_loss <= right.hindsight_loss
-    assert followed.context_gain < 0
+    found = score_candidates(data, task, torch.stack([truth, actions]))
+    right, followed = (by_labels(found, labels).scores for labels in (truth, actions))
+    assert float((followed.alone - followed.hindsight).sum()) > 0.4
+    assert float(followed.hindsight.sum()) <= float(right.hindsight.sum()) + 1e-6
+    assert followed.context_gain < 0 < 0.4 < right.context_gain
 
 
-def test_a_single_trajectory_is_judged_in_hindsight():
+@pytest.mark.parametrize("place", range(1, len(LOOSE)))
+def test_scores_of_labels_do_not_depend_on_a_bound_that_they_do_not_use(adopted, place):
+    tight, loose = (adopted[k].kept.scores for k in (0, place))
+    for name in ("context", "hindsight", "causal", "alone"):
+        torch.testing.assert_close(getattr(loose, name), getattr(tight, name), rtol=1e-4, atol=1e-6)
+    assert tight.context_gain > 0.4
+    assert loose.scalars() == pytest.approx(tight.scalars(), rel=1e-4)
+
+
+@pytest.mark.parametrize("place", range(1, len(LOOSE)))
+def test_confidence_and_cost_by_bound_know_only_what_the_labels_use(adopted, place):
+    tight, loose = (adopted[k] for k in (0, place))
+    sure, other = (confidence(one.kept, one.task, one.kept.labels) for one in (tight, loose))
+    torch.testing.assert_close(other, sure, rtol=1e-3, atol=1e-4)
+    assert float(sure.mean()) > 0.95
+    assert len(tight.cost_by_bound) == 2 * 1 + 2 + 1, "bounds up to twice the transitions used, plus two"
+    torch.testing.assert_close(loose.cost_by_bound, tight.cost_by_bound)
+
+
+def test_a_single_trajectory_is_scored_in_hindsight():
     data, actions, _, truth = visible_change()
     task = task_of(actions, torch.tensor([960]), bound=23)
-    verdicts = [rival.verdict for rival in judge(data, task, torch.stack([truth.roll(20), truth]))]
-    assert not any(verdict.runnable for verdict in verdicts)
-    assert best_verdict(verdicts) == min((0, 1), key=lambda k: verdicts[k].hindsight_loss)
-    assert all(verdict.gain_error == 0 and verdict.context_error > 0 for verdict in verdicts)
+    scores = [one.scores for one in score_candidates(data, task, torch.stack([truth.roll(20), truth]))]
+    assert not any(one.runnable for one in scores)
+    assert best_candidate(scores) == min((0, 1), key=lambda k: float(scores[k].hindsight.sum()))
+    for one in scores:
+        assert one.causal.isinf().all() and standard_error(one.alone - one.causal) == 0
+        assert standard_error(one.alone - one.context) > 0
 
 
-def test_confidence_is_low_at_the_change_and_high_in_between(judged):
-    task, truth, rivals = judged
-    right = by_labels(rivals, truth)
+def test_confidence_is_low_at_the_change_and_high_in_between(scored):
+    task, truth, found = scored
+    right = by_labels(found, truth)
     sure = confidence(right, task, truth).view(12, 80)
     assert bool((sure >= 0).all()) and bool((sure <= 1).all())
     at_change = (truth.view(12, 80).diff(dim=1) != 0).nonzero()
@@ -87,24 +129,11 @@ def test_confidence_is_low_at_the_change_and_high_in_between(judged):
     assert float(wrong.mean()) < 0.1
 
 
-def verdict(loss, detected=1.0, gain=0.1, error=0.0, hindsight=1.0):
-    return Verdict(detected, loss, 0.1, hindsight, gain, error, 0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("verdicts", "best"),
-    [
-        ([verdict(0.5), verdict(0.4)], 1),
-        ([verdict(0.41, 0.9), verdict(0.4, 0.8, error=0.02)], 0),  # within a standard error: seen best
-        ([verdict(0.5, 0.9), verdict(0.4, 0.8, error=0.02)], 1),
-        ([verdict(0.41, 0.8), verdict(0.4, 0.8, error=0.02)], 1),  # seen alike: least loss
-        ([verdict(0.5, 0.9), verdict(0.4, 0.4)], 0),  # changes that are not recognised
-        ([verdict(0.5), verdict(0.4, gain=-0.1)], 0),  # worse than a single classifier
-        ([verdict(0.3, gain=-0.1, hindsight=0.6), verdict(0.4, 0.4, hindsight=0.5)], 1),  # none can be run
-    ],
-)
-def test_the_best_verdict(verdicts, best):
-    assert best_verdict(verdicts) == best
+def test_a_candidate_knows_what_it_uses(scored):
+    task, truth, found = scored
+    one = by_labels(found, torch.zeros_like(truth))
+    assert by_labels(found, truth).used.tolist() == [0, 1] and one.used.tolist() == [0]
+    assert (by_labels(found, truth).transitions(task.lengths), one.transitions(task.lengths)) == (1, 0)
 
 
 def test_distinct_keeps_the_first_of_a_group():
