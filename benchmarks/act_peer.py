@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from act_runs import WARM_UP, Run, Source, runs, sights, summary, timed
+from act_runs import WARM_UP, Run, Source, observations, runs, summary, timed
 from act_training import ActOptions, facts_of, train
 from report import header
 from safetensors.torch import load_file
@@ -102,7 +102,7 @@ def main(options: PeerOptions) -> None:
     facts = facts_of(folder)
     world = facts["world"]
     steps, validation = choose(folder, facts, options)
-    images = sights(world, VALIDATION_SEED, WARM_UP + options.timed)
+    images = observations(world, VALIDATION_SEED, WARM_UP + options.timed)
     act = section(f"ACT, {steps} actions a look", Source(folder, steps), world, images, options)
     act["milliseconds"]["look, 1 thread"] = timed(Source(folder, 1), images, 1)
     sections = [act | {"action_steps": steps}]

@@ -20,7 +20,7 @@ from dpmacro.worlds.base import Planner
 from dpmacro.worlds.two_flags.diagnosis import outcome_of
 from dpmacro.worlds.two_flags.env import TURN_LEFT
 
-__all__ = ["WARM_UP", "Run", "Source", "runs", "sights", "summary", "timed"]
+__all__ = ["WARM_UP", "Run", "Source", "observations", "runs", "summary", "timed"]
 
 WARM_UP = 20
 
@@ -31,7 +31,7 @@ class Source:
 
     Attributes:
         folder: of a saved ACT or `MacroPolicy`.
-        action_steps: actions that ACT takes at a sight; None for a `MacroPolicy`.
+        action_steps: actions that ACT takes at a look; None for a `MacroPolicy`.
     """
 
     folder: Path
@@ -66,7 +66,9 @@ def runs(
     yield from map(task, seeds) if workers == 1 else spread(task, seeds, workers)
 
 
-def sights(world: Mapping[str, Any], seed: int, count: int) -> UInt8[np.ndarray, "frames height width 3"]:
+def observations(
+    world: Mapping[str, Any], seed: int, count: int
+) -> UInt8[np.ndarray, "frames height width 3"]:
     """What the avatar sees while it turns left."""
     options = {**world, "max_steps": count + 1}
     env = gym.make(options.pop("id"), **options)

@@ -42,7 +42,7 @@ class ActOptions:
     """What of ACT and of its training can be chosen."""
 
     chunk_size: int = 20
-    """Actions that ACT predicts at a sight."""
+    """Actions that ACT predicts at a look."""
     dim_model: int = 512
     """Width of its transformer."""
     use_vae: bool = True

@@ -49,15 +49,15 @@ class Setting:
     def matrix(self, source: Source, seed: int) -> np.ndarray:
         """float64 [frames, columns] of total variance 1."""
         each = self.dimensions // len(source.components)
-        sight = np.hstack([block[:, :each] for block in source.components])
+        observed = np.hstack([block[:, :each] for block in source.components])
         one_hot = np.eye(source.actions.max() + 1)[source.actions][:, np.unique(source.actions)]
         one_hot = one_hot + NOISE * np.random.default_rng(seed).normal(size=one_hot.shape)
-        parts = [(sight, 1 - self.share), (one_hot, self.share)]
+        parts = [(observed, 1 - self.share), (one_hot, self.share)]
         return np.hstack([np.sqrt(share / part.var(0).sum()) * part for part, share in parts if share > 0])
 
 
 def _settings(shares: tuple[float, ...], quick: bool) -> list[Setting]:
-    """The grid; without sight the number of components is no matter."""
+    """The grid; without observations the number of components is no matter."""
     found = [Setting(n, share) for n in (QUICK_DIMENSIONS if quick else DIMENSIONS) for share in shares]
     return found if quick else [*found, Setting(0, 1.0)]
 
@@ -124,9 +124,9 @@ def autoregressive_hmm(source: Source, seed: int, quick: bool) -> Found:
 
 
 def regression_hmm(source: Source, seed: int, quick: bool) -> Found:
-    """CategoricalRegressionHMM of dynamax: every state is a softmax regression of the action on the sight.
+    """CategoricalRegressionHMM of dynamax: every state is a softmax regression of the action on what is seen.
 
-    The hidden Markov model whose question is ours: what does each macro-action do at which sight. Grid:
+    The hidden Markov model whose question is ours: what does each macro-action do at which observation. Grid:
     8 or 32 components; starts and steps as for `gaussian_hmm`.
     """
     from segmentation_dynamax import regression

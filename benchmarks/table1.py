@@ -51,13 +51,13 @@ class TableOptions:
     """Which cells, and where they are kept."""
 
     parts: list[str] = field(default_factory=lambda: list(PARTS))
-    """main: the table; curve: over numbers of demonstrations; paper: the paper's 320x240 rendering."""
+    """main (the table), and in test worlds curve (numbers of demonstrations) and paper (its 320x240)."""
     flags: list[str] = field(default_factory=lambda: list(FLAGS))
     """random, fixed; curve and paper have random flags."""
     planners: list[str] = field(default_factory=lambda: list(PLANNERS))
     """teacher, baseline, dpboost-2, dpboost-2-recovery, dpboost-4, dpboost-2-dagger, paper."""
     worlds: str = TEST
-    """test: seeds from 10000 on; fresh: 40000 to 40099, which no decision was taken by, main table only."""
+    """Where planners run, test (seeds from 10000 on) or fresh (40000 to 40099, by which nothing was chosen)."""
     train_seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
     """Training seeds, each with demonstrations of its own; curve and paper have the first."""
     demonstrations: int = 20
@@ -71,7 +71,7 @@ class TableOptions:
     workers: int = 2
     """Processes that record and run; the results do not depend on it."""
     threads: int = 1
-    """Threads of every training; more than one only where nothing else runs beside it."""
+    """Threads of every script that is run; leave it at 1 where other work shares the processors."""
     output_dir: Path | None = None
     """Folder of demonstrations, policies and runs; by default outputs/table1, or outputs/table1_fresh."""
     report: Path | None = None
