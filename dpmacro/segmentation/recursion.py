@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from dpmacro.utils.checks import as_count, as_tensor, as_whole_vector
+from dpmacro.utils.checks import ArrayLike, as_count, as_lengths, as_tensor
 
 __all__ = [
     "Segmentation",
@@ -34,6 +34,7 @@ __all__ = [
 ]
 
 LARGEST = 1e30  # a cost that is allowed: any float holds it, and sums of many stay finite
+MOST_TRANSITIONS = 2**20  # a larger bound would fill memory with best costs that are all the same
 BLOCK = 2**17  # costs of so many frames and macro-actions stay in a core's cache
 
 
@@ -49,17 +50,17 @@ class Segmentation:
 
 
 def segment(
-    costs: Float[Tensor, "frames macros"],
-    lengths: Int64[Tensor, " trajectories"],
+    costs: ArrayLike,
+    lengths: ArrayLike,
     max_transitions: int,
-    transition_costs: Float[Tensor, "..."] | None = None,
+    transition_costs: ArrayLike | None = None,
 ) -> Segmentation:
     """The labels that minimise sum_n c_n(q_n) + sum_{n: q_n != q_{n+1}} T with at most S transitions.
 
     Args:
-        costs: c_n(q) of every frame, trajectories concatenated; finite.
-        lengths: frames of each trajectory, at least 1 each; they add up to the number of frames.
-        max_transitions: S >= 0, the bound in every single trajectory.
+        costs: [frames, macros], c_n(q) of every frame, trajectories concatenated; finite.
+        lengths: [trajectories], frames of each, at least 1; they add up to the number of frames.
+        max_transitions: S, 0 to 2^20, the bound in every single trajectory.
         transition_costs: [frames, macros, macros], T_n(q', q), the cost of frame n being the first after
             a change from q' to q; finite where q' != q; the first frame of a trajectory and the diagonal
             are never read.
@@ -210,29 +211,30 @@ def _at(values: Tensor, time: Tensor) -> Tensor:
 
 
 def checked(
-    costs: Tensor, lengths: Tensor, max_transitions: int, transition_costs: Tensor | None
+    costs: ArrayLike, lengths: ArrayLike, max_transitions: int, transition_costs: ArrayLike | None
 ) -> tuple[Float[Tensor, "frames macros"], Int64[Tensor, " trajectories"], Float[Tensor, "..."] | None]:
     """The arguments of `segment` as tensors, lengths on the CPU; raises the errors that it names."""
-    as_count("max_transitions", max_transitions, 0)
+    as_count("max_transitions", max_transitions, 0, MOST_TRANSITIONS)
     costs = as_tensor("costs", costs, 2, "[frames, macros], one macro at least")
-    lengths = as_whole_vector("lengths", lengths, 1, "[trajectories], the frames of each").cpu()
-    if int(lengths.sum()) != len(costs):
-        raise ValueError(f"lengths add up to {int(lengths.sum())} frames but costs have {len(costs)}")
-    if not float(costs.abs().max()) <= LARGEST:  # nor where one is NaN
-        frame, macro = (~(costs.abs() <= LARGEST)).nonzero()[0].tolist()
-        value = costs[frame, macro].item()
-        raise ValueError(
-            f"the cost of frame {frame}, macro {macro} is {value}: costs must be finite, {LARGEST:g} at most"
-        )
+    lengths = as_lengths(lengths, len(costs), "costs")
+    _check_sizes("costs", costs, torch.ones(1, dtype=torch.bool, device=costs.device))
     if transition_costs is None:
         return costs, lengths, None
     wanted = [*costs.shape, costs.shape[1]]
-    transition_costs = as_tensor("transition_costs", transition_costs, 3, f"{wanted}")
+    transition_costs = as_tensor("transition_costs", transition_costs, 3, f"{wanted}").to(costs.device)
     if list(transition_costs.shape) != wanted:
         raise ValueError(f"transition_costs have shape {list(transition_costs.shape)}: give {wanted}")
     off_diagonal = ~torch.eye(costs.shape[1], dtype=torch.bool, device=costs.device)
-    if not bool((transition_costs[:, off_diagonal].abs() <= LARGEST).all()):
-        raise ValueError(
-            f"transition_costs hold NaN, infinity or more than {LARGEST:g} off the diagonal: give less"
-        )
+    _check_sizes("transition_costs", transition_costs, off_diagonal.expand(wanted))
     return costs, lengths, transition_costs
+
+
+def _check_sizes(name: str, values: Tensor, read: Bool[Tensor, "..."]) -> None:
+    """Raise ValueError where a value that is read is not finite, or larger than `LARGEST`."""
+    fine = values.abs() <= LARGEST  # NaN is not
+    if not bool(fine.all()) and len(wrong := (read & ~fine).nonzero()):
+        place = tuple(wrong[0].tolist())
+        raise ValueError(
+            f"{name}[{', '.join(map(str, place))}] is {values[place].item()}: give finite costs, "
+            f"{LARGEST:g} at most"
+        )

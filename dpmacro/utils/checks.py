@@ -1,4 +1,7 @@
-"""Arguments as they must be: each function returns its argument, or raises a ValueError that names it."""
+"""Arguments as they must be: each function returns its argument, or raises a ValueError of one line.
+
+The line starts with the argument's name, says the value, and what to give instead.
+"""
 
 import math
 import numbers
@@ -6,69 +9,143 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Int64
 from torch import Tensor
 
-__all__ = ["as_count", "as_flag", "as_number", "as_tensor", "as_whole_vector"]
+__all__ = [
+    "ArrayLike",
+    "as_count",
+    "as_flag",
+    "as_lengths",
+    "as_number",
+    "as_tensor",
+    "as_whole_vector",
+    "shown",
+]
+
+ArrayLike = (
+    Any  # a tensor, a NumPy array, a pandas object or nested sequences: what `as_tensor` turns into one
+)
+
+SHOWN = 60  # characters of a wrong value
+SMALL_FLOAT = 2  # bytes: CPUs lack operations for such numbers and smaller ones
+UNSIGNED = (torch.uint16, torch.uint32, torch.uint64)  # likewise
 
 
 def as_count(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
     """A whole number of `least` or more, and `most` or less."""
-    upper = "" if most is None else f" and up to {most}"
+    wanted = f"{least} or more" if most is None else f"{least} to {most}"
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
-        raise ValueError(f"{name} is {value!r}: give a whole number, {least} or more{upper}")
+        raise ValueError(f"{name} is {shown(value)}: give a whole number, {wanted}")
     whole = int(value)
     if whole < least or (most is not None and whole > most):
-        raise ValueError(f"{name} is {value}: give {least} or more{upper}")
+        raise ValueError(f"{name} is {shown(whole)}: give {wanted}")
     return whole
 
 
 def as_flag(name: str, value: Any) -> bool:
     """True or False."""
     if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} is {value!r}: give True or False")
+        raise ValueError(f"{name} is {shown(value)}: give True or False")
     return bool(value)
 
 
-def as_number(name: str, value: Any, above: float, most: float = math.inf) -> float:
-    """A finite number above `above` and up to `most`."""
-    upper = "" if most == math.inf else f" and up to {most:g}"
+def as_number(
+    name: str, value: Any, *, least: float = -math.inf, above: float = -math.inf, most: float = math.inf
+) -> float:
+    """A finite number of `least` or more, greater than `above`, and `most` or less."""
+    bounds = (f"above {above:g}", above), (f"{least:g} or more", least), (f"{most:g} at most", most)
+    wanted = ", ".join(["a finite number", *(words for words, bound in bounds if math.isfinite(bound))])
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
-        raise ValueError(f"{name} is {value!r}: give a number above {above:g}{upper}")
-    number = float(value)
-    if not (above < number <= most and math.isfinite(number)):
-        raise ValueError(f"{name} is {value}: give a number above {above:g}{upper}")
+        raise ValueError(f"{name} is {shown(value)}: give {wanted}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not (math.isfinite(number) and number > above and least <= number <= most):
+        raise ValueError(f"{name} is {shown(value)}: give {wanted}")
     return number
 
 
-def as_tensor(name: str, value: Any, dims: int, shape: str) -> Tensor:
+def as_tensor(name: str, value: ArrayLike, dims: int, shape: str) -> Tensor:
     """A dense tensor of real numbers with so many dimensions, detached, none of them of length 0.
 
-    `shape` says in words what is wanted. float16 and bfloat16 become float32.
+    `shape` says in words what is wanted. Types that lack operations become others: floating point of 16 or
+    8 bits float32, truth values uint8, unsigned numbers of more than 8 bits int64.
     """
-    try:
-        found = value if isinstance(value, Tensor) else torch.as_tensor(np.asarray(value))
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{name} cannot be a tensor ({error}): give {shape}") from error
-    if found.layout != torch.strided:
-        raise ValueError(f"{name} are stored as {found.layout}: give a dense {shape}")
+    found = value if isinstance(value, Tensor) else _from_array(name, value, shape)
+    if found.layout != torch.strided or found.is_nested:
+        layout = "nested tensors" if found.is_nested else found.layout
+        raise ValueError(f"{name} are stored as {layout}: give a dense tensor, {shape}")
     if found.is_complex() or found.is_quantized:
         raise ValueError(f"{name} are of type {found.dtype}: give real numbers, {shape}")
+    if found.is_meta:
+        raise ValueError(f"{name} are on the device meta, which holds no values: give {shape}")
     if found.ndim != dims or 0 in found.shape:
         raise ValueError(f"{name} have shape {list(found.shape)}: give {shape}")
-    found = found.detach()
-    return found.float() if found.dtype in (torch.float16, torch.bfloat16) else found
+    found = found.detach().resolve_neg()
+    if found.dtype == torch.bool:
+        return found.to(torch.uint8)
+    if found.is_floating_point() and found.itemsize <= SMALL_FLOAT:
+        return found.float()
+    if found.dtype not in UNSIGNED:
+        return found
+    whole = found.long()
+    if found.dtype == torch.uint64 and bool((whole < 0).any()):
+        raise ValueError(f"{name} hold {2**63} or more: give smaller numbers, {shape}")
+    return whole
 
 
-def as_whole_vector(name: str, value: Any, least: int, shape: str) -> Tensor:
-    """Whole numbers of `least` or more as int64, whatever type holds them."""
+def as_whole_vector(
+    name: str, value: ArrayLike, shape: str, *, least: int, most: int | None = None
+) -> Int64[Tensor, " entries"]:
+    """Whole numbers of `least` or more, and `most` or less, whatever type holds them."""
     found = as_tensor(name, value, 1, shape)
     if found.is_floating_point():
-        wrong = (~(found.isfinite() & (found == found.round()))).nonzero()
+        wrong = (~((found.abs() < 2**63) & (found == found.round()))).nonzero()  # NaN is wrong, too
         if len(wrong):
             place = int(wrong[0])
-            raise ValueError(f"{name}[{place}] is {float(found[place])}: give whole numbers, {shape}")
+            raise ValueError(f"{name}[{place}] is {found[place].item()}: give whole numbers, {shape}")
     whole = found.long()
-    if int(whole.min()) < least:
-        place = int(whole.argmin())
-        raise ValueError(f"{name}[{place}] is {int(whole[place])}: give {least} or more")
+    wrong = (whole < least if most is None else (whole < least) | (whole > most)).nonzero()
+    if len(wrong):
+        place = int(wrong[0])
+        wanted = f"{least} or more" if most is None else f"{least} to {most}"
+        raise ValueError(f"{name}[{place}] is {int(whole[place])}: give {wanted}")
     return whole
+
+
+def as_lengths(value: ArrayLike, n_frames: int, framed: str) -> Int64[Tensor, " trajectories"]:
+    """Frames of each trajectory, 1 or more, adding up to those of the argument `framed`; on the CPU."""
+    found = as_whole_vector("lengths", value, "[trajectories], the frames of each", least=1).cpu()
+    total = sum(found.tolist())
+    if total != n_frames:
+        raise ValueError(f"lengths add up to {total} frames but {framed} have {n_frames}: make them agree")
+    return found
+
+
+def shown(value: Any) -> str:
+    """A value in one short line."""
+    try:
+        line = " ".join(repr(value).split())
+    except ValueError:  # Python does not print whole numbers of thousands of digits
+        line = f"a {type(value).__name__} of too many digits"
+    return line if len(line) <= SHOWN else f"{line[: SHOWN - 3]}..."
+
+
+def _from_array(name: str, value: ArrayLike, shape: str) -> Tensor:
+    if np.ma.is_masked(value):
+        raise ValueError(f"{name} are masked in places: fill those or leave them out, {shape}")
+    try:
+        found = np.asarray(value)
+        if found.dtype == object and all(isinstance(one, numbers.Real) for one in found.flat):
+            found = np.array(found.tolist())  # numbers that pandas or a list keeps as objects
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{name} cannot be an array ({shown(str(error))}): give {shape}") from error
+    if found.dtype.kind not in "biuf":
+        raise ValueError(f"{name} are {shown(value)}, of type {found.dtype}: give real numbers, {shape}")
+    native = np.dtype(np.float64) if found.dtype == np.longdouble else found.dtype.newbyteorder("=")
+    found = found.astype(native, copy=False)
+    if not found.flags.writeable or any(step < 0 or step % found.itemsize for step in found.strides):
+        found = found.copy()  # torch warns of the first and refuses the others
+    return torch.from_numpy(found)

@@ -130,8 +130,8 @@ def test_a_shift_of_all_costs_moves_the_cost_and_not_the_labels():
 @pytest.mark.parametrize(
     ("costs", "lengths", "bound", "message"),
     [
-        (torch.tensor([[0.0, float("nan")]]), [1], 1, "frame 0, macro 1 is nan"),
-        (torch.tensor([[0.0], [float("inf")]]), [2], 1, "frame 1, macro 0 is inf"),
+        (torch.tensor([[0.0, float("nan")]]), [1], 1, r"^costs\[0, 1\] is nan: give finite costs"),
+        (torch.tensor([[0.0], [float("inf")]]), [2], 1, r"^costs\[1, 0\] is inf"),
         (torch.zeros(3, 2), [3, 0], 1, r"lengths\[1\] is 0"),
         (torch.zeros(3, 2), [2, 2], 1, "add up to 4 frames but costs have 3"),
         (torch.zeros(3, 2), [3], -1, "max_transitions is -1"),
@@ -145,7 +145,7 @@ def test_bad_input_is_named(costs, lengths, bound, message):
 
 
 @pytest.mark.parametrize(
-    ("shape", "value", "message"), [((3, 2), 0.0, "shape"), ((3, 2, 2), float("nan"), "NaN")]
+    ("shape", "value", "message"), [((3, 2), 0.0, "shape"), ((3, 2, 2), float("nan"), r"^transition_costs\[0, 0, 1\] is nan")]
 )
 def test_bad_transition_costs_are_named(shape, value, message):
     with pytest.raises(ValueError, match=message):

@@ -1,0 +1,62 @@
+"""From what a search found to a result: the final fit, and its labels scored on left-out data."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+
+from dpmacro.boosting.loop import Round
+from dpmacro.discovery.candidates import Task, confidence
+from dpmacro.discovery.result import Discovery, DPBoostResult
+from dpmacro.discovery.search import adopt
+from dpmacro.discovery.settling import FinalFit, settle
+from dpmacro.features.levels import SortedLevels
+from dpmacro.segmentation.segments import transition_counts
+
+__all__ = ["finished"]
+
+
+def finished(
+    data: SortedLevels,
+    task: Task,
+    discovery: Discovery | None,
+    fit: FinalFit,
+    on_round: Callable[[Round], None] = lambda _: None,
+) -> DPBoostResult:
+    """Classifiers and switch functions of the candidate to keep, and how sure left-out data is of it.
+
+    Args:
+        data: levels of every frame.
+        task: what is to be explained.
+        discovery: candidates, one of which is to be kept; None for one macro-action everywhere.
+        fit: what the final fit learns with. Where the changes of the candidate cannot be recognised, its
+            switch functions have no say in the segmentation.
+        on_round: called after every boosting round.
+    """
+    labels, bound, runnable = torch.zeros(len(task.actions), dtype=torch.int64), 0, False
+    if discovery is not None:
+        labels = discovery.kept.labels.unique(return_inverse=True)[1]
+        bound, runnable = discovery.kept.transitions(task.lengths), discovery.kept.scores.runnable
+    if not runnable:  # changes that cannot be recognised say nothing of where they belong
+        fit = replace(fit, weight=0.0, switches=replace(fit.switches, aligned=False))
+    settled = settle(fit, replace(task, max_transitions=bound), labels, on_round)
+    sure, final = torch.ones(len(labels)), None
+    n_macros = int(settled.labels.max()) + 1
+    if n_macros > 1:
+        used = int(transition_counts(settled.labels, task.lengths).max())
+        own = replace(task, macros=n_macros, max_transitions=used)
+        final = adopt(data, own, settled.labels, on_round)
+        sure = confidence(final.kept, final.task, settled.labels)
+    return DPBoostResult(
+        settled.labels,
+        sure,
+        settled.loss,
+        settled.classifiers,
+        settled.switches,
+        settled.terms,
+        settled.max_transitions,
+        settled.unsettled,
+        None,
+        discovery,
+        final,
+    )
