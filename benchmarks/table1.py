@@ -57,7 +57,7 @@ class TableOptions:
     planners: list[str] = field(default_factory=lambda: list(PLANNERS))
     """teacher, baseline, dpboost-2, dpboost-2-recovery, dpboost-4, dpboost-2-dagger, paper."""
     worlds: str = TEST
-    """Worlds to run in, test (seeds from 10000 on) or fresh (40000 to 40099, which chose nothing)."""
+    """Worlds to run in, test (seeds from 10000 on) or fresh (40000 to 40099, no choice was made by them)."""
     train_seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
     """Training seeds, each with demonstrations of its own; curve and paper have the first."""
     demonstrations: int = 20
