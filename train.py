@@ -90,8 +90,8 @@ def switch_report(result: TrainingResult) -> list[str]:
     if discovery is not None and not discovery.kept.scores.runnable:
         lines.append(
             "warning      no segmentation was found whose changes can be recognised as they come. The labels "
-            "were chosen in hindsight (with recipe=paper, by the training loss), and switch functions had no say "
-            "in where changes lie (switch_weight is 0). The policy will change its macro-action at wrong "
+            "were chosen in hindsight (with recipe=paper, by the training loss), and switch functions had no "
+            "say in where changes lie (switch_weight is 0). The policy will change its macro-action at wrong "
             "times; the labels may still be good"
         )
     if found.unsettled:
