@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
@@ -25,6 +25,7 @@ class PolicyState:
     restarted: Bool[Tensor, " batch"] | None = None  # environments whose next frame is their first
 
 
+@runtime_checkable
 class Decides(Protocol):
     """What a planner needs of its policy; `MacroPolicy` says what the parts mean."""
 

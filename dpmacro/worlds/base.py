@@ -49,6 +49,7 @@ class Expert(Planner, Protocol):
     """A world's teacher: a planner that may read the world's true state in `reset` and `act`."""
 
 
+@runtime_checkable
 class Diagnosis(Protocol):
     """A world's names for how runs end and why they fail.
 
