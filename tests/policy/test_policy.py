@@ -42,7 +42,7 @@ def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0):
     config = PolicyConfig(
         type="dpboost",
         macros=3,
-        first_macro=0,
+        starts=(0,),
         action_names=("a", "b", "c"),
         image_shape=SHAPE,
         features=kind,
@@ -247,8 +247,8 @@ def test_files_that_cannot_be_read_are_named(tmp_path, harm, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"first_macro": "x"}, "first_macro"),
-        ({"first_macro": 3}, "first_macro"),
+        ({"starts": ["x"]}, "starts"),
+        ({"starts": [3]}, "starts"),
         ({"switches": [[0, 1], [1, 9]]}, "switches"),
         ({"thresholds": [0.0]}, "thresholds"),
         ({"thresholds": [0.0, float("nan")]}, "thresholds"),
