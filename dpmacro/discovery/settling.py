@@ -123,7 +123,9 @@ def settle(
         if differing == 0 or (passes >= PASSES and len(used) == n_macros):
             result = Settled(found, loss, classifiers, switches, terms, task.max_transitions, differing)
             break
-        labels = pruned
+        names = torch.full((n_macros + 1,), -1)  # the last one for frames that lost theirs before
+        names[used] = torch.arange(len(used))
+        labels, chosen = pruned, names[chosen]
     if fit.weight > 0:
         return replace(result, switches=_reported(result.switches, chosen, task))
     return result

@@ -1,9 +1,12 @@
 """Left-out data prefers a segmentation that a switch function can follow to one that explains as well."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from visible import task_of, visible_change
 
+from dpmacro.discovery.alternation import Alternated
 from dpmacro.discovery.candidates import (
     FINALISTS,
     LEADERS,
@@ -13,6 +16,7 @@ from dpmacro.discovery.candidates import (
     score_candidates,
 )
 from dpmacro.discovery.criteria import best_candidate, standard_error
+from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt
 
 LOOSE = [(2, 1), (2, 2), (2, 3), (4, 3)]  # Q and S that the true segmentation keeps
@@ -104,6 +108,21 @@ def test_confidence_and_cost_by_bound_know_only_what_the_labels_use(adopted, pla
     assert float(sure.mean()) > 0.95
     assert len(tight.cost_by_bound) == 2 * 1 + 2 + 1, "bounds up to twice the transitions used, plus two"
     torch.testing.assert_close(loose.cost_by_bound, tight.cost_by_bound)
+
+
+def test_a_macro_action_without_frames_casts_no_doubt(scored):
+    """As well as any other does an unused one that says what the used ones say."""
+    task, truth, found = scored
+    right = by_labels(found, truth)
+    twin = right.left_out[torch.arange(960), truth][:, None]
+    unused = replace(right, left_out=torch.cat([right.left_out, twin], 1))
+    wider = replace(task, macros=3)
+    torch.testing.assert_close(confidence(unused, wider, truth), confidence(right, task, truth))
+    discoveries = [
+        Discovery(own, Alternated(truth[None], torch.zeros(1, 1)), (one,), 0)
+        for own, one in ((task, right), (wider, unused))
+    ]
+    torch.testing.assert_close(*(one.cost_by_bound for one in discoveries))
 
 
 def test_a_single_trajectory_is_scored_in_hindsight():

@@ -1,71 +1,91 @@
-"""How many macro-actions: the rule as a table, and searches as points."""
+"""How many macro-actions: the rule as a table, and discoveries as points."""
 
 import pytest
 import torch
+from visible import functions_of
 
 from dpmacro.discovery.alternation import Alternated
-from dpmacro.discovery.candidates import Judged, Task, Verdict
-from dpmacro.discovery.model_order import Choice, Point, _best, choose, points
-from dpmacro.discovery.result import Search
-from dpmacro.switching.functions import SwitchFunctions
+from dpmacro.discovery.candidates import Candidate, Task
+from dpmacro.discovery.criteria import standard_error
+from dpmacro.discovery.model_order import Choice, Point, choose, points
+from dpmacro.discovery.result import Discovery
+from tests.discovery.test_criteria import PAIRED, STEP, losses, scored
 
 LENGTHS = torch.tensor([6, 4])
+ALONE = 1.0  # loss of a single classifier
+ERROR = standard_error(losses(0.0, STEP))  # of a spread of STEP; 0 where there is no spread
 
 
-def point(macros, bound, gain, error=0.01, runnable=True):
-    return Point(macros, bound, gain, error, runnable, 1.0)
+def discovery(macros, bound, gain, spread=0.0, recognised=1.0, context=0.0, doubt=0.0, changes=(1, 1)):
+    """A discovery whose best candidate, not its first, changes so many times in either trajectory.
 
-
-def search(macros, bound, gain, error=0.01, detected=1.0, context=(0.0, 0.01), changes=(1, 1)):
-    """A search whose best rival, not its first, changes so many times in either trajectory."""
+    `gain` is that of running it and `spread` that of its parts, or its loss; `context` and `doubt` are those
+    of the labels that the frames around tell.
+    """
     labels = torch.cat(
         [
             torch.arange(length).clamp(max=count) % macros
             for length, count in zip(LENGTHS, changes, strict=True)
         ]
     )
+    causal = gain if isinstance(gain, torch.Tensor) else losses(ALONE - gain, spread)
     task = Task(torch.zeros(10).long(), LENGTHS, torch.arange(2), 2, macros, bound, seed=0)
-    none = SwitchFunctions([], torch.zeros(0), torch.zeros(0), torch.zeros(10, 0), None)
-    worse = Verdict(0.0, 9.0, 0.9, 9.0, -9.0, 0.1, -9.0, 0.1)
-    best = Verdict(detected, 1.0, 0.1, 1.0, gain, error, *context)
-    judged = tuple(
-        Judged(labels * used, verdict, torch.zeros(10, macros, 2), none)
-        for used, verdict in ((0, worse), (1, best))
+    none = functions_of(torch.zeros(10, 0), ())
+    worse = scored(9.0, 0.0, ALONE)
+    best = scored(causal, recognised, ALONE, context=losses(ALONE - context, doubt))
+    candidates = tuple(
+        Candidate(labels * used, scores, torch.zeros(10, macros, 2), none)
+        for used, scores in ((0, worse), (1, best))
     )
-    return Search(task, Alternated(labels[None], torch.zeros(1, 1)), judged, 1)
+    return Discovery(task, Alternated(labels[None], torch.zeros(1, 1)), candidates, 1)
+
+
+def unrun(macros, bound, context, doubt=0.0):
+    """A discovery that cannot be run, though running it would gain much."""
+    return discovery(macros, bound, 0.9, recognised=0.2, context=context, doubt=doubt)
 
 
 CASES = {
     "nothing was tried": ([], None),
-    "the largest gain of those that can be run": ([point(2, 1, 0.1), point(3, 2, 0.3)], 1),
-    "one that can be run before a larger gain": ([point(2, 1, 0.05), point(3, 2, 0.9, runnable=False)], 0),
-    "one that can be run, however unsure": ([point(2, 1, 0.05, error=0.2)], 0),
+    "the largest gain of those that can be run": ([discovery(2, 1, 0.1), discovery(3, 2, 0.3)], 1),
+    "one that can be run before a larger gain": (
+        [discovery(2, 1, 0.05), discovery(3, 2, 0.9, recognised=0.4, context=0.9)],
+        0,
+    ),
+    "one that can be run, however unsure": ([discovery(2, 1, 0.01, 2 * STEP)], 0),
     "within an error of the largest, the fewest macro-actions": (
-        [point(4, 3, 0.30, error=0.05), point(3, 8, 0.26), point(2, 1, 0.24)],
+        [discovery(4, 3, 0.30), discovery(3, 8, 0.28, STEP), discovery(2, 1, 0.24, STEP)],
         1,
     ),
-    "exactly an error below the largest": ([point(3, 2, 0.75, error=0.25), point(2, 1, 0.5)], 1),
-    "the error that counts is that of the largest": ([point(2, 1, 0.2, error=0.5), point(3, 2, 0.3)], 1),
-    "then the fewest transitions": ([point(2, 4, 0.31, error=0.05), point(2, 1, 0.30), point(2, 2, 0.3)], 1),
-    "then the larger gain": ([point(2, 1, 0.30, error=0.05), point(2, 1, 0.31, error=0.05)], 1),
+    "almost an error below the largest": (
+        [discovery(3, 2, 0.75), discovery(2, 1, 0.75 - 0.99 * ERROR, STEP)],
+        1,
+    ),
+    "more than an error below the largest": (
+        [discovery(3, 2, 0.75), discovery(2, 1, 0.75 - 1.01 * ERROR, STEP)],
+        0,
+    ),
+    "the error that counts is that of the difference": (
+        [discovery(2, 1, 0.29, 3 * STEP), discovery(3, 2, 0.3, 3 * STEP)],
+        1,
+    ),
+    "then the fewest transitions": (
+        [discovery(2, 4, 0.31), discovery(2, 1, 0.30, STEP), discovery(2, 2, 0.30, STEP)],
+        1,
+    ),
+    "then the larger gain": ([discovery(2, 1, 0.30, STEP), discovery(2, 1, 0.31)], 1),
     "fewer that cannot be run do not count": (
-        [point(3, 2, 0.3, error=0.05), point(2, 1, 0.29, runnable=False)],
+        [discovery(3, 2, 0.3), discovery(2, 1, 0.29, STEP, recognised=0.4)],
         0,
     ),
     "none can be run or gains more than its error": (
-        [point(2, 1, 0.02, 0.02, runnable=False), point(3, 2, -0.1, runnable=False)],
+        [unrun(2, 1, 0.9 * ERROR, STEP), unrun(3, 2, -0.1)],
         None,
     ),
-    "none can be run: a gain beyond its error": (
-        [point(2, 1, 0.02, 0.03, runnable=False), point(3, 2, 0.2, 0.03, runnable=False)],
-        1,
-    ),
-    "none can be run: the fewest within an error": (
-        [point(2, 1, 0.17, 0.03, runnable=False), point(3, 2, 0.18, 0.03, runnable=False)],
-        0,
-    ),
+    "none can be run: a gain beyond its error": ([unrun(2, 1, 0.9 * ERROR, STEP), unrun(3, 2, 0.2, STEP)], 1),
+    "none can be run: the fewest within an error": ([unrun(2, 1, 0.17, STEP), unrun(3, 2, 0.18)], 0),
     "none can be run: within an error of the largest, but not beyond its own": (
-        [point(2, 1, 0.17, 0.2, runnable=False), point(3, 2, 0.18, 0.03, runnable=False)],
+        [unrun(2, 1, 0.17, 10 * STEP), unrun(3, 2, 0.18)],
         1,
     ),
 }
@@ -74,42 +94,56 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_the_rule(case):
     found, chosen = CASES[case]
-    assert _best(found) == chosen
+    assert choose(found).place == chosen
+
+
+@pytest.mark.parametrize("case", PAIRED)
+def test_the_rule_is_the_one_that_tells_candidates_apart(case):
+    """Of two that do equally well the simpler is followed, though its loss is larger."""
+    best, other, alike = PAIRED[case]
+    assert choose([discovery(3, 2, best), discovery(2, 1, other)]).place == int(alike)
 
 
 def test_where_some_can_be_run_a_point_shows_the_gain_of_running():
-    searches = [
-        search(2, 1, 0.2, 0.02, context=(0.5, 0.05), changes=(1, 0)),
-        search(3, 4, 0.1, 0.03, detected=0.4, context=(0.6, 0.06), changes=(4, 3)),
-    ]
-    assert points(searches) == [Point(2, 1, 0.2, 0.02, True, 0.5), Point(3, 4, 0.1, 0.03, False, 3.5)]
+    found = points(
+        [
+            discovery(2, 1, 0.2, STEP, context=0.5, changes=(1, 0)),
+            discovery(3, 4, 0.1, 2 * STEP, recognised=0.4, context=0.6, changes=(4, 3)),
+        ]
+    )
+    assert_points(found, [(2, 1, 0.2, ERROR, True, 0.5), (3, 4, 0.1, 2 * ERROR, False, 3.5)])
 
 
 def test_where_none_can_be_run_a_point_shows_what_context_tells():
-    searches = [
-        search(2, 1, -0.2, 0.02, context=(0.5, 0.05)),
-        search(3, 2, 0.1, 0.03, detected=0.4, context=(0.6, 0.06)),
-    ]
-    assert points(searches) == [Point(2, 1, 0.5, 0.05, False, 1.0), Point(3, 2, 0.6, 0.06, False, 1.0)]
+    found = points(
+        [
+            discovery(2, 1, -0.2, context=0.5, doubt=STEP),
+            discovery(3, 2, 0.1, recognised=0.4, context=0.6, doubt=2 * STEP),
+        ]
+    )
+    assert_points(found, [(2, 1, 0.5, ERROR, False, 1.0), (3, 2, 0.6, 2 * ERROR, False, 1.0)])
 
 
-def test_a_choice_knows_its_search():
-    searches = [
-        search(2, 1, 0.1, context=(0.9, 0.01)),
-        search(3, 2, 0.4, error=0.05),
-        search(4, 3, 0.44, error=0.05),
-    ]
-    choice = choose(searches)
-    assert choice.search is searches[1] and choice.setting == (3, 2)
-    assert choice.points == tuple(points(searches)) and choice.searches == tuple(searches)
+def assert_points(found, wanted):
+    assert len(found) == len(wanted)
+    for point, values in zip(found, wanted, strict=True):
+        assert isinstance(point, Point)
+        assert tuple(vars(point).values()) == pytest.approx(values, abs=1e-5)
+
+
+def test_a_choice_knows_its_discovery():
+    tried = [discovery(2, 1, 0.1, context=0.9), discovery(3, 2, 0.43, STEP), discovery(4, 3, 0.44)]
+    choice = choose(tried)
+    assert choice.discovery is tried[1] and choice.setting == (3, 2)
+    assert choice.points == tuple(points(tried)) and choice.discoveries == tuple(tried)
 
 
 @pytest.mark.parametrize(
-    "searches",
-    [[], [search(2, 1, -0.1, context=(0.01, 0.02)), search(3, 2, 0.5, detected=0.2, context=(-0.1, 0.0))]],
+    "tried",
+    [[], [unrun(2, 1, 0.9 * ERROR, STEP), unrun(3, 2, -0.1)]],
     ids=["none tried", "none better"],
 )
-def test_one_macro_action_is_an_answer(searches):
-    choice = choose(searches)
-    assert choice == Choice(tuple(searches), tuple(points(searches)), None)
-    assert choice.search is None and choice.setting == (1, 0)
+def test_one_macro_action_is_an_answer(tried):
+    choice = choose(tried)
+    assert choice == Choice(tuple(tried), tuple(points(tried)), None)
+    assert choice.discovery is None and choice.setting == (1, 0)
