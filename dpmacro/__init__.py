@@ -4,10 +4,10 @@ The names below are the public face; everything else is reached by its module. T
 are first asked for, so that `import dpmacro` costs next to nothing.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import importlib as _importlib
+import typing as _typing
 
-if TYPE_CHECKING:
+if _typing.TYPE_CHECKING:
     from dpmacro.annotation.annotate import Annotation, annotate
     from dpmacro.data.demonstrations import Demonstrations
     from dpmacro.discovery.dpboost import DPBoost
@@ -38,10 +38,10 @@ _MODULE_OF = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> _typing.Any:
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'dpmacro' has no attribute {name!r}: it offers {', '.join(__all__)}")
-    found = getattr(import_module(_MODULE_OF[name]), name)
+    found = getattr(_importlib.import_module(_MODULE_OF[name]), name)
     globals()[name] = found
     return found
 

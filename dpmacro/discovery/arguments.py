@@ -21,9 +21,9 @@ from dpmacro.utils.checks import (
     shown,
 )
 
-__all__ = ["as_actions", "as_device", "as_features", "check_options"]
+__all__ = ["as_actions", "as_device", "as_features", "check_options", "check_sizes"]
 
-MOST_ACTIONS = 2**16
+MOST_ACTIONS = 2**12  # every frame has a score for each, in every restart
 MOST_SEED = 2**63 - 1
 MOST_COUNT = 2**31 - 1
 
@@ -35,13 +35,23 @@ def check_options(options: Mapping[str, Any]) -> None:
     if options["max_transitions"] is not None:
         as_count("max_transitions", options["max_transitions"], 0)
     as_count("seed", options["seed"], 0, MOST_SEED)
-    as_number("shrinkage", options["shrinkage"], above=0, most=1)
-    as_number("switch_weight", options["switch_weight"], least=0)
+    as_number("shrinkage", options["shrinkage"], above=0.0, most=1.0)
+    as_number("switch_weight", options["switch_weight"], least=0.0)
     as_flag("early_stopping", options["early_stopping"])
     recipe = options["recipe"]
     if not isinstance(recipe, str) or recipe not in RECIPES:
         raise ValueError(f"recipe is {shown(recipe)}: choose one of {', '.join(RECIPES)}")
     as_device(options["device"])
+
+
+def check_sizes(macros: int, early_stopping: bool, n_frames: int, n_trajectories: int) -> None:
+    """Raise ValueError where there is too little data for the options."""
+    if macros > n_frames:
+        raise ValueError(f"macros is {macros} but there are only {n_frames} frames: ask for fewer")
+    if early_stopping and n_trajectories == 1:
+        raise ValueError(
+            "early_stopping leaves trajectories out and lengths has one: give more, or give False"
+        )
 
 
 def as_device(device: Any) -> torch.device:

@@ -19,7 +19,7 @@ from torch import Tensor
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Round
-from dpmacro.discovery.arguments import as_actions, as_device, as_features, check_options
+from dpmacro.discovery.arguments import as_actions, as_device, as_features, check_options, check_sizes
 from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.final import finished
 from dpmacro.discovery.prediction import levels_of, predicted, segmented
@@ -290,8 +290,7 @@ class DPBoost:
         if data.levels.device != device:
             raise ValueError(f"data is on {data.levels.device} and device is {device}: use one")
         actions, lengths = as_actions(actions, n_frames), as_lengths(lengths, n_frames, "features")
-        if macros > n_frames:
-            raise ValueError(f"macros is {macros} but there are only {n_frames} frames: ask for fewer")
+        check_sizes(macros, bool(self.early_stopping), n_frames, len(lengths))
         groups = torch.arange(len(lengths)) if groups is None else groups.cpu()
         bound = macros - 1 if self.max_transitions is None else int(self.max_transitions)
         bound = min(bound, int(lengths.max()) - 1)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Int64, Num
 from torch import Tensor
 
 from dpmacro.utils.checks import ArrayLike, as_count, as_lengths, as_tensor
@@ -212,7 +212,7 @@ def _at(values: Tensor, time: Tensor) -> Tensor:
 
 def checked(
     costs: ArrayLike, lengths: ArrayLike, max_transitions: int, transition_costs: ArrayLike | None
-) -> tuple[Float[Tensor, "frames macros"], Int64[Tensor, " trajectories"], Float[Tensor, "..."] | None]:
+) -> tuple[Num[Tensor, "frames macros"], Int64[Tensor, " trajectories"], Num[Tensor, "..."] | None]:
     """The arguments of `segment` as tensors, lengths on the CPU; raises the errors that it names."""
     as_count("max_transitions", max_transitions, 0, MOST_TRANSITIONS)
     costs = as_tensor("costs", costs, 2, "[frames, macros], one macro at least")

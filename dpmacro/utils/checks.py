@@ -34,12 +34,13 @@ UNSIGNED = (torch.uint16, torch.uint32, torch.uint64)  # likewise
 
 def as_count(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
     """A whole number of `least` or more, and `most` or less."""
-    wanted = f"{least} or more" if most is None else f"{least} to {most}"
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
-        raise ValueError(f"{name} is {shown(value)}: give a whole number, {wanted}")
+        raise ValueError(f"{name} is {shown(value)}: give a whole number, {least} or more")
     whole = int(value)
-    if whole < least or (most is not None and whole > most):
-        raise ValueError(f"{name} is {shown(whole)}: give {wanted}")
+    if whole < least:
+        raise ValueError(f"{name} is {shown(whole)}: give {least} or more")
+    if most is not None and whole > most:
+        raise ValueError(f"{name} is {shown(whole)}: give {most} or less")
     return whole
 
 
@@ -54,8 +55,10 @@ def as_number(
     name: str, value: Any, *, least: float = -math.inf, above: float = -math.inf, most: float = math.inf
 ) -> float:
     """A finite number of `least` or more, greater than `above`, and `most` or less."""
-    bounds = (f"above {above:g}", above), (f"{least:g} or more", least), (f"{most:g} at most", most)
-    wanted = ", ".join(["a finite number", *(words for words, bound in bounds if math.isfinite(bound))])
+    bounds = (f"above {above:g}", above), (f"of {least:g} or more", least), (f"up to {most:g}", most)
+    wanted = (
+        f"a finite number {' and '.join(words for words, bound in bounds if math.isfinite(bound))}".strip()
+    )
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
         raise ValueError(f"{name} is {shown(value)}: give {wanted}")
     try:
@@ -129,7 +132,7 @@ def shown(value: Any) -> str:
     try:
         line = " ".join(repr(value).split())
     except ValueError:  # Python does not print whole numbers of thousands of digits
-        line = f"a {type(value).__name__} of too many digits"
+        line = f"{type(value).__name__} of too many digits"
     return line if len(line) <= SHOWN else f"{line[: SHOWN - 3]}..."
 
 
@@ -143,7 +146,9 @@ def _from_array(name: str, value: ArrayLike, shape: str) -> Tensor:
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{name} cannot be an array ({shown(str(error))}): give {shape}") from error
     if found.dtype.kind not in "biuf":
-        raise ValueError(f"{name} are {shown(value)}, of type {found.dtype}: give real numbers, {shape}")
+        raise ValueError(
+            f"{name} are {shown(value)}, of type {found.dtype}: give dense real numbers, {shape}"
+        )
     native = np.dtype(np.float64) if found.dtype == np.longdouble else found.dtype.newbyteorder("=")
     found = found.astype(native, copy=False)
     if not found.flags.writeable or any(step < 0 or step % found.itemsize for step in found.strides):
