@@ -25,7 +25,7 @@ DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SHAPE = (12, 16)
 
 
-def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0):
+def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0, starts=(0,)):
     """Random stumps over random images: enough for a policy that does something in every frame."""
     generator = torch.Generator().manual_seed(seed)
     images = torch.randint(0, 256, (50, *SHAPE, 3), dtype=torch.uint8, generator=generator)
@@ -42,7 +42,7 @@ def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0):
     config = PolicyConfig(
         type="dpboost",
         macros=3,
-        starts=(0,),
+        starts=starts,
         action_names=("a", "b", "c"),
         image_shape=SHAPE,
         features=kind,
@@ -50,7 +50,8 @@ def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0):
         thresholds=(2.0,) * len(switches),
         world={"id": "TwoFlags-v0", "render_size": [128, 96]},
     )
-    switcher = stumps(len(switches), 1) if switches else None
+    asked = len(switches) + (len(starts) if len(starts) > 1 else 0)
+    switcher = stumps(asked, 1) if asked else None
     return MacroPolicy.compact(config, features, quantiser, stumps(3, 3), switcher), images
 
 
@@ -65,8 +66,9 @@ def run(policy, images):
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("kind", FEATURES)
-def test_a_batch_acts_as_its_environments_one_by_one(kind, device):
-    policy, images = random_policy(kind)
+@pytest.mark.parametrize("starts", [(0,), (0, 1, 2)])
+def test_a_batch_acts_as_its_environments_one_by_one(starts, kind, device):
+    policy, images = random_policy(kind, starts=starts)
     policy = policy.to(device)
     orders = [torch.randperm(50, generator=torch.Generator().manual_seed(k)) for k in range(4)]
     state, together = policy.initial_state(4), []
@@ -160,8 +162,9 @@ def test_without_switch_functions_the_first_macro_stays():
 
 @pytest.mark.parametrize("kind", FEATURES)
 @pytest.mark.parametrize("switches", [(), ((0, 1), (1, 2))])
-def test_files_keep_every_decision(tmp_path, kind, switches):
-    policy, images = random_policy(kind, switches)
+@pytest.mark.parametrize("starts", [(0,), (1, 2)])
+def test_files_keep_every_decision(tmp_path, kind, switches, starts):
+    policy, images = random_policy(kind, switches, starts=starts)
     policy.save(tmp_path / "model")
     read = MacroPolicy.load(tmp_path / "model")
     assert run(read, images) == run(policy, images)
@@ -256,6 +259,8 @@ def test_files_that_cannot_be_read_are_named(tmp_path, harm, message):
         ({"features": "hog"}, "features"),
         ({"world": None}, "world"),
         ({"macros": 0}, "macros"),
+        ({"starts": []}, "starts"),
+        ({"starts": [0, 3]}, "starts"),
     ],
 )
 def test_a_config_that_cannot_be_is_named(tmp_path, changes, message):
