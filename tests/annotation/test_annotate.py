@@ -6,26 +6,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dpmacro.discovery.joint import change_log_odds
 from segmented import random_demonstrations, random_policy
 
 from dpmacro.annotation import annotate as annotation
 from dpmacro.annotation.annotate import annotate
 from dpmacro.boosting.learners.base import Frames
-from dpmacro.boosting.learners.stumps import StumpLearner
+from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.discovery.alternation import Alternated
-from dpmacro.discovery.candidates import Task, judge
 from dpmacro.discovery.dpboost import DPBoost
-from dpmacro.discovery.result import Search
 from dpmacro.features.base import frames_before
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features
 from dpmacro.features.memory import Plan
+from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.segmentation.segments import transition_counts
-from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.switching.costs import change_log_odds
 
 SHAPE = (6, 8)
 LENGTHS = np.array([40, 25, 35])
@@ -44,34 +41,31 @@ def noise_with_a_rule(seed=0):
     return Demonstrations(images, actions, LENGTHS, NAMES, 10, None, {}, Path("data/some"))
 
 
-def train(demonstrations, macros=2, bound=1, truth=None, **options):
-    """A policy and what it was trained with; the fit starts from the `truth` where it is given."""
+def train(demonstrations, macros=2, truth=None, **options):
+    """A policy and what it was trained with; the `truth` takes the place of a search where it is given."""
     generator = torch.Generator().manual_seed(0)
     features = make_features("rectangles", *SHAPE, 60, generator)
     images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
     plan = Plan(features.count, features.count, 0, 0.0)
     features, quantiser, data = prepare(images, lengths, features, plan, generator)
-    chosen = {"rounds": 15, "restarts": 4, "discovery_rounds": 20, "warmup": 5, "shrinkage": 0.3, **options}
-    actions, search = torch.from_numpy(demonstrations.actions), None
-    if truth is not None:
-        groups = torch.arange(len(lengths))
-        task = Task(actions, lengths, groups, int(actions.max()) + 1, macros, bound, seed=0)
-        judged = judge(data, task, truth[None])
-        search = Search(task, Alternated(truth[None], torch.zeros(1, 1)), tuple(judged), 0)
-    found = DPBoost(macros, bound, **chosen).fit(data, actions, lengths, search=search)
-    switches = fit_switches(StumpLearner(data), found.labels, lengths, generator, SwitchSettings(rounds=20))
+    given = data, torch.from_numpy(demonstrations.actions), lengths
+    chosen = {"rounds": 15, "restarts": 4, "shrinkage": 0.3, "switch_rounds": 20, **options}
+    dpboost = DPBoost(macros=macros, **chosen)
+    found = dpboost.fit_levels(*given, discovery=dpboost.discover_levels(*given, known=truth))
+    switches, odds = found.switches, [] if found.terms is None else found.terms.log_odds.tolist()
     config = PolicyConfig(
         "dpboost",
         found.macros,
-        0,
+        switches.starts,
         NAMES,
         SHAPE,
         "rectangles",
-        tuple(switches.pairs),
+        switches.pairs,
         tuple(switches.thresholds.tolist()),
-        max_transitions=bound,
+        switches.cues,
+        max_transitions=found.max_transitions,
         switch_weight=found.switch_weight,
-        change_log_odds=tuple(map(tuple, change_log_odds(found.labels, lengths, found.macros).tolist())),
+        change_log_odds=tuple(map(tuple, odds)),
     )
     return MacroPolicy.compact(config, features, quantiser, found.classifiers, switches.classifier), found
 
@@ -109,13 +103,80 @@ def test_the_labels_are_those_of_the_training_where_switch_costs_joined():
     demonstrations = Demonstrations(
         images, actions, np.full(n, length), NAMES, 10, None, {}, Path("data/some")
     )
-    policy, found = train(demonstrations, truth=torch.from_numpy(rule), switch_weight=1.0, rounds=60)
-    if not (found.search.kept.verdict.runnable and np.array_equal(found.labels, rule)):
+    policy, found = train(demonstrations, truth=torch.from_numpy(rule), rounds=60)
+    if not (found.discovery.kept.scores.runnable and np.array_equal(found.labels, rule)):
         raise RuntimeError("the switch costs should have kept the truth")
-    assert found.switch_weight == 1.0
+    assert found.switch_weight == 1.0 and found.switches.cues
     assert torch.equal(annotate(policy, demonstrations).labels, found.labels)
     by_actions = replace(policy, config=replace(policy.config, switch_weight=0.0))
     assert not torch.equal(annotate(by_actions, demonstrations).labels, found.labels)
+
+
+def lit_after_an_action(n=10, length=60):
+    """Demonstrations that change where a picture lights up right after action 1; others light up in vain.
+
+    The policy's classifiers have no vote, its switch function fires wherever a picture is lit.
+    """
+    rng = np.random.default_rng(0)
+    cuts = rng.integers(25, 35, n)
+    truth = (np.arange(length) >= cuts[:, None]).astype(np.int64)
+    actions, lit = np.zeros((n, length), np.int64), np.zeros((n, length), bool)
+    for row, cut in enumerate(cuts):
+        actions[row, cut - 1] = 1
+        lit[row, [cut, *rng.choice(np.arange(3, 22), 4, False), *rng.choice(np.arange(38, 58), 4, False)]] = (
+            True
+        )
+    images = np.where(lit.reshape(-1, 1, 1, 1), 200, 50).astype(np.uint8)
+    images = np.broadcast_to(images, (n * length, *SHAPE, 3)).copy()
+    lengths = np.full(n, length)
+    demonstrations = Demonstrations(images, actions.reshape(-1), lengths, NAMES, 10, None, {}, Path("lit"))
+    labels = torch.from_numpy(truth.reshape(-1))
+    features = make_features("pixels", *SHAPE, 0, torch.Generator()).select(torch.tensor([0]))
+    none = torch.zeros(0, 2, dtype=torch.int64)
+    actor = StumpClassifier(none, none.byte(), torch.zeros(0, 2, 2, len(NAMES)))
+    first = torch.zeros(1, 1, dtype=torch.int64)
+    switcher = StumpClassifier(
+        first, torch.full((1, 1), 100).byte(), torch.tensor([-3.0, 3]).view(1, 1, 2, 1)
+    )
+    odds = change_log_odds(labels, torch.from_numpy(lengths), 2).tolist()
+    config = PolicyConfig(
+        "dpboost",
+        2,
+        (0,),
+        NAMES,
+        SHAPE,
+        "pixels",
+        ((0, 1),),
+        (0.0,),
+        cues=((1,),),
+        switch_weight=1.0,
+        change_log_odds=tuple(map(tuple, odds)),
+    )
+    quantiser = Quantiser(torch.arange(255, dtype=torch.int32)[None])
+    return MacroPolicy(config, features, quantiser, actor, switcher), demonstrations, labels
+
+
+def run_beside(policy, demonstrations):
+    """The macro-actions of a policy that sees demonstrations and is told the actions that were taken."""
+    planner, macros = policy.planner(), []
+    for trajectory in demonstrations.trajectories:
+        planner.reset()
+        for frame in range(trajectory.start, trajectory.stop):
+            planner.scores({"pixels": demonstrations.images[frame]})
+            macros.append(planner.macro)
+            planner.took(int(demonstrations.actions[frame]))
+    return torch.tensor(macros)
+
+
+def test_switch_functions_are_charged_where_they_may_fire_and_nowhere_else():
+    """Nothing but them tells the change: a policy that minds its cues makes it, and so does `annotate`."""
+    policy, demonstrations, truth = lit_after_an_action()
+    agreement = float((run_beside(policy, demonstrations) == truth).float().mean())
+    assert agreement > 0.98
+    assert float((annotate(policy, demonstrations).labels == truth).float().mean()) > 0.98
+    heedless = replace(policy, config=replace(policy.config, cues=()))
+    assert float((run_beside(heedless, demonstrations) == truth).float().mean()) < 0.8
+    assert float((annotate(heedless, demonstrations).labels == truth).float().mean()) < 0.8
 
 
 def test_an_annotation_survives_files_and_does_not_depend_on_the_portion(trained, tmp_path, monkeypatch):
@@ -190,7 +251,7 @@ def test_actions_without_names_are_the_first_of_the_policys(trained, names):
 
 def test_a_baseline_is_sure_of_its_only_label():
     demonstrations = noise_with_a_rule()
-    policy, _ = train(demonstrations, macros=1, bound=0)
+    policy, _ = train(demonstrations, macros=1)
     seen = annotate(policy, demonstrations)
     assert not seen.labels.any() and bool((seen.confidence == 1).all())
 
