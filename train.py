@@ -6,8 +6,8 @@
 
 Finds macro-actions, fits a strong classifier to each and switch functions between them, and saves a policy
 for eval.py in `<output_dir>/checkpoints/last/pretrained_model`, pictures and TensorBoard events beside it.
-With `--dagger.iterations` the planner then runs in its world, its teacher says what to do where it comes to,
-and training goes on with those runs; the planner that does best in validation worlds is kept.
+With `--dagger.iterations` the planner then runs in its world, the world's teacher labels those runs with
+actions, and training repeats with them; the planner that succeeds most in validation worlds is kept.
 """
 
 import time
@@ -103,16 +103,14 @@ def switch_report(result: TrainingResult) -> list[str]:
 
 
 def dagger_report(iteration: "Iteration") -> str:
-    """How a planner on the way did in validation worlds."""
+    """How the planner of one DAgger iteration did in validation worlds."""
     low, high = wilson_interval(iteration.successes, iteration.runs)
     line = (
         f"dagger {iteration.number}     {iteration.successes} of {iteration.runs} validation runs, "
         f"{low:.0%} to {high:.0%}, from {iteration.trajectories} trajectories"
     )
     if iteration.number:
-        line += (
-            f"; the planner before agreed with the teacher on {iteration.agreement:.1%} of what it came to"
-        )
+        line += f"; the planner before agreed with the teacher on {iteration.agreement:.1%} of its own frames"
     return line
 
 

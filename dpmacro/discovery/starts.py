@@ -62,7 +62,7 @@ def feature_peaks(
     first maximum after its first frame; macro-actions come in turn from the first.
 
     Given `actions`, cuts are made only where another action is taken than in the frame before, in
-    trajectories that have such frames: who begins another macro-action mostly begins another action.
+    trajectories that have such frames: where the macro-action changes, the action mostly changes too.
     """
     shape = (restarts, max_transitions)
     columns = torch.randint(len(levels), shape, generator=generator)

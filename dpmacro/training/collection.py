@@ -1,9 +1,9 @@
-"""Demonstrations of what a planner runs into: it drives, the teacher says what it would do (DAgger).
+"""Runs of a planner in which every frame is labelled with the teacher's action (DAgger).
 
-Ross, Gordon, Bagnell 2011: a planner trained on a teacher's runs alone never saw what its own mistakes lead
-to. Here it drives and every frame is labelled with the teacher's action. Where the planner turns in circles
-for ever, the teacher takes the wheel until the next reward, so that a run has every part of the task in it
-and no part thousands of times.
+Ross, Gordon, Bagnell 2011: a planner trained on a teacher's runs alone never saw the states that its own
+mistakes lead to. Here the planner acts, and the teacher labels. Where the planner repeats a loop for ever,
+the teacher acts until the next reward, so that a run has every part of the task in it and no part thousands
+of times.
 """
 
 import functools

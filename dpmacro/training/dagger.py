@@ -1,4 +1,4 @@
-"""DAgger: demonstrations aggregated from the states that the planner itself comes to (Ross et al. 2011).
+"""DAgger: demonstrations aggregated from the states that the planner itself visits (Ross et al. 2011).
 
 The paper's conclusion promises it. Every iteration runs the planner in new worlds while the teacher says what
 it would do there (`collection.py`), appends those runs to a LeRobot dataset and trains on all there is.
@@ -38,13 +38,11 @@ PATIENCE = 2  # iterations in a row without a new best
 
 @dataclass(frozen=True)
 class Iteration:
-    """A planner on the way, 0 for the one trained on the demonstrations alone."""
+    """The planner of one iteration; 0 is the one trained on the demonstrations alone."""
 
     number: int
     trajectories: int  # that it was trained on
-    agreement: (
-        float  # share of the frames it came to itself where it did as the teacher says; of the one before
-    )
+    agreement: float  # share of its own frames on which the planner before it acted as the teacher would
     successes: int  # in validation worlds
     runs: int
     result: TrainingResult
