@@ -74,7 +74,7 @@ class Planner:
     paper: Mapping[str, int] = field(default_factory=dict)
 
 
-FAST = ("--planner.reuse=5",)  # several times faster, as accurate (README, How fast)
+FAST = ("--planner.reuse=5",)  # several times faster, as accurate (docs/speed.md)
 TWO = (*FAST, "--planner.macros=2")
 DAGGER = ("--dagger.iterations=5", "--dagger.seed={worlds}")
 PLANNERS = {

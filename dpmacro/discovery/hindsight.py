@@ -67,7 +67,7 @@ def switch_terms_costs(
     actions: Int64[Tensor, " frames"],
     lengths: Int64[Tensor, " trajectories"],
 ) -> SwitchCosts:
-    """What switch functions charge for staying and for changing, those that may not fire as sure as can be.
+    """What switch functions charge for staying and for changing; where one may not fire, its score is lowest.
 
     Args as for `action_costs`; `switcher` has a problem for each of the terms' pairs first.
     """
