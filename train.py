@@ -52,7 +52,7 @@ def main(options: TrainOptions) -> None:
         result = Trainer(demonstrations, options, folder).train()
     print(report(result, folder, time.perf_counter() - started))
     if demonstrations.truth is not None:
-        labels = result.found.labels.numpy()  # DAgger appends others
+        labels = result.found.labels.numpy()[: len(demonstrations.truth)]  # DAgger appends others
         print(truth_report(labels, demonstrations))
 
 

@@ -24,7 +24,7 @@ def stubborn(folder, action):
     features = make_features("rectangles", 48, 64, 1, torch.Generator())
     votes = torch.nn.functional.one_hot(torch.tensor(action), len(ACTIONS)).float().expand(1, 1, 2, -1)
     actor = StumpClassifier(torch.zeros(1, 1, dtype=torch.int64), torch.zeros(1, 1, dtype=torch.uint8), votes)
-    config = PolicyConfig("baseline", 1, 0, ACTIONS, (48, 64), "rectangles")
+    config = PolicyConfig("baseline", 1, (0,), ACTIONS, (48, 64), "rectangles")
     quantiser = Quantiser(torch.arange(255, dtype=torch.int32)[None])
     MacroPolicy.compact(config, features, quantiser, actor, None).save(folder)
     return PlannerSource("policy", folder, recovery=False)

@@ -26,7 +26,7 @@ from dpmacro.features.memory import GIB, Plan
 from dpmacro.metrics import segments
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.training import trainer as training
-from dpmacro.training.options import DatasetOptions, TrainOptions
+from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import TABLES
 from dpmacro.utils import cli
@@ -39,7 +39,8 @@ SMALL = [  # cut by the actions alone but for `trained`: judging by switch funct
     "--planner.rectangles=150",
     "--planner.switch_rounds=5",
 ]
-JOINT = [*SMALL[1:], "--planner.switch_weight=1"]
+TINY = [option.replace("restarts=4", "restarts=1").replace("rounds=12", "rounds=4") for option in SMALL]
+JOINT = [*SMALL[1:], "--planner.switch_weight=1", "--planner.restarts=2"]
 
 
 def call(monkeypatch, *arguments):
@@ -57,12 +58,33 @@ def trained(recorded, tmp_path_factory) -> Path:
     return output
 
 
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """For tests that look at something else."""
+    monkeypatch.setattr(training.TrainingPictures, "show", lambda *given: None)
+
+
+@pytest.mark.parametrize(
+    ("options", "settings"),
+    [
+        ({}, [(2, 1)]),
+        ({"macros": 3, "max_transitions": 7}, [(3, 7)]),
+        ({"type": "baseline", "macros": 3}, [(1, 0)]),
+        ({"macros": "auto", "max_macros": 3}, [(1, 0), (2, 1), (2, 2), (3, 2), (3, 4)]),
+        ({"macros": "auto", "max_macros": 3, "max_transitions": 5}, [(1, 0), (2, 5), (3, 5)]),
+    ],
+)
+def test_the_searches_that_options_ask_for(recorded, tmp_path, options, settings):
+    given = TrainOptions(DatasetOptions(root=recorded), PlannerOptions(rectangles=5, **options))
+    trainer = training.Trainer(Demonstrations.load(recorded), given, RunFolder(tmp_path / "run"))
+    assert trainer._settings == settings
+
+
 def test_auto_tries_several_numbers_of_macro_actions(recorded, tmp_path, monkeypatch, capsys):
-    choice = ["--planner.macros=auto", "--planner.max_macros=3", f"--output_dir={tmp_path / 'run'}"]
-    small = [option.replace("restarts=4", "restarts=1") for option in SMALL]
-    call(monkeypatch, f"--dataset.root={recorded}", *choice, *small)
+    choice = ["--planner.macros=auto", "--planner.max_macros=2", f"--output_dir={tmp_path / 'run'}"]
+    call(monkeypatch, f"--dataset.root={recorded}", *choice, *TINY)
     told = capsys.readouterr().out
-    for setting in ("Q=2 S=1", "Q=2 S=2", "Q=3 S=2", "Q=3 S=4"):
+    for setting in ("Q=2 S=1", "Q=2 S=2"):
         assert told.count(setting) == 1
     assert (tmp_path / "run/figures/selection.png").exists()
     policy = MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model")
@@ -105,7 +127,7 @@ def test_tensorboard_has_the_quantities_of_every_stage(trained):
     ):
         assert f"segmentation/fit/{name}" in scalars
     assert "selection/causal_loss" in scalars
-    assert any(re.fullmatch(r"switch/detected_\d_to_\d", name) for name in scalars)
+    assert any(re.fullmatch(r"switch/recognised_\d_to_\d", name) for name in scalars)
     assert set(events.Tags()["images"]) == {
         f"figures/{name}"
         for name in ("timeline", "segmentation", "objective", "transitions", "pixels", "elbow")
@@ -129,7 +151,7 @@ def test_the_policy_sees_in_a_run_what_the_trainer_saw(trained, recorded):
             state = policy.act(images[n : n + 1], state)[1]
 
 
-def test_a_seed_repeats_the_policy(trained, recorded, tmp_path, monkeypatch):
+def test_a_seed_repeats_the_policy(trained, recorded, tmp_path, monkeypatch, no_pictures):
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'again'}", *JOINT)
     first, second = (
         load_file(folder / "checkpoints/last/pretrained_model/model.safetensors")
@@ -147,7 +169,7 @@ def test_the_baseline_is_one_classifier_without_switches(recorded, tmp_path, mon
         "--planner.type=baseline",
         f"--planner.features={features}",
         f"--output_dir={tmp_path / 'run'}",
-        *SMALL,
+        *TINY,
     )
     policy = MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model")
     assert (policy.config.type, policy.config.macros, policy.config.switches) == ("baseline", 1, ())
@@ -161,9 +183,11 @@ WAYS = {
 
 
 @pytest.mark.parametrize("case", WAYS)
-def test_every_way_to_boost_leaves_a_policy_of_its_kind(recorded, tmp_path, monkeypatch, capsys, case):
+def test_every_way_to_boost_leaves_a_policy_of_its_kind(
+    recorded, tmp_path, monkeypatch, capsys, no_pictures, case
+):
     options, kinds = WAYS[case]
-    options = [*options, "--planner.convnet.rounds=2", *SMALL]
+    options = [*options, "--planner.convnet.rounds=2", *TINY]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
     pretrained = tmp_path / "run/checkpoints/last/pretrained_model"
     names = {name.split(".")[1] for name in load_file(pretrained / "model.safetensors") if "actor" in name}
@@ -178,13 +202,13 @@ def test_a_policy_outlives_pictures_that_are_interrupted(recorded, tmp_path, mon
 
     monkeypatch.setattr(training.TrainingPictures, "show", interrupted)
     with pytest.raises(SystemExit):
-        call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *SMALL)
+        call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *TINY)
     assert MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model").config.macros == 2
 
 
 def test_one_demonstration_is_enough_and_no_other_judges_its_switch(recorded, tmp_path, monkeypatch, capsys):
     options = [f"--dataset.root={recorded}", "--dataset.episodes=[0]", f"--output_dir={tmp_path / 'run'}"]
-    call(monkeypatch, *options, *SMALL)
+    call(monkeypatch, *options, *TINY)
     printed = capsys.readouterr().out
     assert "of the changes in the demonstration it learned from" in printed and "left-out" not in printed
 
@@ -199,24 +223,7 @@ def test_more_actions_than_a_policy_holds_are_refused_before_any_work(recorded, 
         training.Trainer(spoiled, options, RunFolder(tmp_path / "run"))
 
 
-def test_changes_are_aligned_by_all_frames_and_made_by_those_after_their_cues(
-    recorded, tmp_path, monkeypatch
-):
-    fits, fit = [], training.fit_switches
-
-    def noted(*given, **named):
-        fits.append((given[4].focused, fit(*given, **named)))
-        return fits[-1][1]
-
-    monkeypatch.setattr(training, "fit_switches", noted)
-    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *SMALL)
-    assert [focused for focused, _ in fits] == [False] * (len(fits) - 1) + [True]
-    policy = MacroPolicy.load(tmp_path / "run/checkpoints/last/pretrained_model")
-    assert len(fits) > 1
-    assert list(policy.config.thresholds) == fits[-1][1].thresholds.tolist()
-
-
-def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch, capsys):
+def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch, capsys, no_pictures):
     monkeypatch.setattr("dpmacro.features.memory.LIBRARIES", 0)
     monkeypatch.setattr("dpmacro.features.memory.LEAST_COLUMNS", 20)
     frames, height, width, _ = Demonstrations.load(recorded).images.shape
@@ -224,7 +231,7 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
     limit = frames * (3 * height * width + tables + 150 + 4 * 100) / GIB
     monkeypatch.setattr("dpmacro.features.memory.VALUES", 1000)
     monkeypatch.setattr("dpmacro.features.memory.SAMPLED", 10)
-    options = [f"--planner.memory_limit={limit:.9f}", *SMALL]
+    options = [f"--planner.memory_limit={limit:.9f}", *TINY]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
     assert re.search(r"columns +150 of 150, \d+ drawn at a time", capsys.readouterr().out)
 
@@ -241,11 +248,16 @@ def test_little_memory_draws_columns_and_says_so(recorded, tmp_path, monkeypatch
 def test_the_memory_of_mirror_images_is_planned(
     recorded, tmp_path, monkeypatch, symmetric, learner, copies, images
 ):
-    fitting, given = Plan.fitting, []
-    monkeypatch.setattr(Plan, "fitting", lambda *asked: given.append(asked) or fitting(*asked))
+    given = []
+
+    def noted(*asked):
+        given.append(asked)
+        raise ValueError("planned, and that is all that is looked at here")
+
+    monkeypatch.setattr(Plan, "fitting", noted)
     options = [f"--dataset.symmetric={symmetric}", f"--planner.switch_learner={learner}", *SMALL]
-    options += ["--planner.convnet.rounds=1", "--planner.switch_rounds=1"]
-    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
     [(demand, _)] = given
     assert demand.copies == copies
     scores = (2 if symmetric == "true" else 1) * 4 * 2  # of either direction of change
@@ -265,9 +277,32 @@ def switch_learners(monkeypatch):
     return made
 
 
+def switch_frames(monkeypatch, *arguments):
+    """Frames that the learner of the switch functions holds, in a training that goes no further."""
+    held = []
+
+    def noted(*given, switch_learner, **named):
+        held.append(switch_learner.n_frames)
+        raise ValueError("that is all that is looked at here")
+
+    monkeypatch.setattr(training.DPBoost, "discover_levels", lambda *given, **named: None)
+    monkeypatch.setattr(training.DPBoost, "fit_levels", noted)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, *arguments, *TINY)
+    [frames] = held
+    return frames
+
+
 @pytest.mark.parametrize(
     ("declared", "given", "copies"),
-    [(False, [], 1), (True, [], 2), (False, ["true"], 2), (True, ["false"], 1)],
+    [
+        (False, [], 1),
+        (True, [], 2),
+        (False, ["--dataset.symmetric=true"], 2),
+        (True, ["--dataset.symmetric=false"], 1),
+        (True, ["--planner.recipe=paper"], 1),
+        (True, ["--planner.macros=1"], 1),
+    ],
 )
 def test_switch_functions_learn_from_mirror_images_of_a_symmetric_world(
     recorded, tmp_path, monkeypatch, declared, given, copies
@@ -275,42 +310,38 @@ def test_switch_functions_learn_from_mirror_images_of_a_symmetric_world(
     data = shutil.copytree(recorded, tmp_path / "data")
     about = json.loads((data / WORLD_FILE).read_text())
     (data / WORLD_FILE).write_text(json.dumps({**about, "symmetric": declared}))
-    held = switch_learners(monkeypatch)
-    options = [*(f"--dataset.symmetric={value}" for value in given), *SMALL]
-    call(monkeypatch, f"--dataset.root={data}", f"--output_dir={tmp_path}/run", *options)
-    assert {learner.n_frames for learner in held} == {copies * 30}
+    found = switch_frames(monkeypatch, f"--dataset.root={data}", f"--output_dir={tmp_path}/run", *given)
+    assert found == copies * 30
 
 
 def test_networks_mirror_images_and_need_no_mirrored_columns(recorded, tmp_path, monkeypatch):
-    held = switch_learners(monkeypatch)
     monkeypatch.setattr("dpmacro.training.learners.with_mirror_images", None)
-    options = ["--planner.switch_learner=convnet", "--planner.convnet.rounds=1", *SMALL]
-    options += ["--dataset.symmetric=true"]
-    call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *options)
-    frames = len(Demonstrations.load(recorded).images)
-    assert {learner.n_frames for learner in held} == {2 * frames}
+    options = ["--planner.switch_learner=convnet", "--dataset.symmetric=true"]
+    where = f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run"
+    assert switch_frames(monkeypatch, *where, *options) == 2 * 30
 
 
-def test_shrunk_images_from_training_to_runs(recorded, tmp_path, monkeypatch, capsys):
-    size = ["--dataset.image_size=[32,24]", *SMALL]
+def test_shrunk_images_from_training_to_runs(recorded, tmp_path, monkeypatch, no_pictures):
+    size = ["--dataset.image_size=[32,24]", *TINY]
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *size)
     path = tmp_path / "run/checkpoints/last/pretrained_model"
     config = MacroPolicy.load(path).config
     assert (config.image_shape, config.stored_shape) == ((24, 32), (48, 64))
-    script = importlib.import_module("eval")
-    for options in (
-        ["--segmentation", f"--dataset.root={recorded}"],
-        ["--episodes=1", "--world.max_steps=9"],
+    monkeypatch.syspath_prepend(Path(train.__file__).parent / "datasets")
+    for name, configuration, options in (
+        ("annotate", "AnnotateOptions", [f"--dataset.root={recorded}"]),
+        ("eval", "EvalOptions", ["--episodes=1", "--world.max_steps=9"]),
     ):
-        output = tmp_path / options[0].strip("-")
-        monkeypatch.setattr(sys, "argv", ["", f"--policy.path={path}", *options, f"--output_dir={output}"])
-        cli.run(script.main, script.EvalOptions)
+        script = importlib.import_module(name)
+        output = f"--output_dir={tmp_path / name}"
+        monkeypatch.setattr(sys, "argv", ["", f"--policy.path={path}", *options, output])
+        cli.run(script.main, getattr(script, configuration))
     demonstrations = Demonstrations.load(recorded, transform=ImageTransform((32, 24)))
     labels = annotate(MacroPolicy.load(path), demonstrations).labels.numpy()
-    told = json.loads((tmp_path / "segmentation/segmentation.json").read_text())["demonstrations"]
+    told = json.loads((tmp_path / "annotate/segmentation.json").read_text())["demonstrations"]
     wanted = [part.tolist() for part in segments(labels, demonstrations.lengths)]
     assert [row["segments"] for row in told] == wanted
-    assert json.loads((tmp_path / "episodes=1/eval_info.json").read_text())["dpmacro"]["steps"] == [9]
+    assert json.loads((tmp_path / "eval/eval_info.json").read_text())["dpmacro"]["steps"] == [9]
 
 
 def test_the_truth_may_change_as_often_as_it_likes(recorded):
