@@ -6,6 +6,7 @@ from visible import task_of, visible_change
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
+from dpmacro.discovery import settling
 from dpmacro.discovery.hindsight import action_costs, switch_terms_costs
 from dpmacro.discovery.settling import FinalFit, settle
 from dpmacro.features.levels import SortedLevels
@@ -100,6 +101,25 @@ def test_changes_that_were_moved_are_reported_as_they_were_cut():
         for own in (cut, truth)
     ]
     assert by_labels == pytest.approx([2 / 3, 1.0])
+
+
+def test_changes_are_aligned_by_all_frames_and_made_by_those_after_their_cues(monkeypatch):
+    data, actions, lengths, truth = visible_change()
+    fits, fit = [], settling.fit_switches
+
+    def noted(learner, labels, lengths, generator, settings, **named):
+        fits.append((settings.focused, fit(learner, labels, lengths, generator, settings, **named)))
+        return fits[-1][1]
+
+    monkeypatch.setattr(settling, "fit_switches", noted)
+    found = settle(fit_of(data), task_of(actions, lengths), late(truth))
+    told = [focused for focused, _ in fits]
+    assert told == sorted(told) and not told[0] and told[-1]
+    assert torch.equal(found.switches.thresholds, fits[-1][1].thresholds)
+    assert found.switches.cues == fits[-1][1].cues != ()
+    fits.clear()
+    settle(fit_of(data, aligned=False), task_of(actions, lengths), late(truth))
+    assert all(focused for focused, _ in fits)
 
 
 def test_a_macro_action_that_nothing_wants_goes_and_the_others_are_reported_by_their_new_numbers():
