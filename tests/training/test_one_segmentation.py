@@ -42,7 +42,7 @@ def lit_digits(folder):
 
 
 def two_flags(folder):
-    """Two of the teacher's runs, every sixth frame, recorded and read."""
+    """Two of the teacher's runs, every eighth frame, recorded and read."""
     world = {"id": "TwoFlags-v0", "render_size": (64, 48)}
     env, teacher = gym.make(**world), Teacher()
     with DemonstrationWriter.create(folder, ACTIONS, 10, world, view=False, classes=PHASES) as writer:
@@ -55,7 +55,7 @@ def two_flags(folder):
                 observation, reward, terminated, truncated, info = env.step(action)
                 rows.append((seen, action, phase, reward))
                 ended = terminated or truncated
-            images, actions, phases, rewards = (np.array(part) for part in zip(*rows[::6], strict=True))
+            images, actions, phases, rewards = (np.array(part) for part in zip(*rows[::8], strict=True))
             truth = {"phase": phases.astype(np.int64)}
             writer.add_episode(images, actions.astype(np.int64), truth, rewards.astype(np.float32), True, "")
     return Demonstrations.load(folder)
@@ -64,7 +64,7 @@ def two_flags(folder):
 def babyai(folder):
     """Runs of the bot that opens a door: walking to the door, and what comes with the key."""
     pytest.importorskip("minigrid")
-    runs = [run for run in (run_bot("BabyAI-UnlockLocal-v0", seed, 4) for seed in range(16)) if run]
+    runs = [run for run in (run_bot("BabyAI-UnlockLocal-v0", seed, 4) for seed in range(10)) if run]
     parts = (np.concatenate([getattr(run, name) for run in runs]) for name in ("images", "actions"))
     return Demonstrations(*parts, np.array([len(run.actions) for run in runs]), MOVES, 10, None, {}, folder)
 
