@@ -91,7 +91,7 @@ def test_a_setting_is_part_of_every_tag(tmp_path):
 
 
 def test_a_stage_that_is_run_again_goes_on_counting(tmp_path):
-    """The turns of searching: switch functions and judges, the first of them cut short."""
+    """The turns of searching: switch functions and scores, the first scoring cut short."""
     reports = [
         *turn("recognise", 3),
         *turn("score", 2, total=5),
@@ -101,8 +101,8 @@ def test_a_stage_that_is_run_again_goes_on_counting(tmp_path):
     ]
     events = logged(tmp_path, *reports)
     assert [event.step for event in events.Scalars("loss/recognise")] == [1, 2, 3, 4, 5]
-    judged = steps(events, "loss/score")
-    assert judged == [(1, 1.0), (2, 0.5), (3, 1.0), (4, 0.5), (5, 1 / 3), (6, 1.0)]
+    scored = steps(events, "loss/score")
+    assert scored == [(1, 1.0), (2, 0.5), (3, 1.0), (4, 0.5), (5, 1 / 3), (6, 1.0)]
 
 
 @pytest.mark.parametrize("setting", ["", "Q3_S2"])
