@@ -8,8 +8,9 @@ from dpmacro.boosting.folds import folds_of
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import macro_segments
+from dpmacro.switching.examples import COVERED
 from dpmacro.switching.threshold import best_threshold, recognised_share
-from dpmacro.switching.training import COVERED, SWITCH_FOLDS
+from dpmacro.switching.training import SWITCH_FOLDS
 from tests.switching.test_training import fit
 
 
