@@ -145,7 +145,8 @@ def test_bad_input_is_named(costs, lengths, bound, message):
 
 
 @pytest.mark.parametrize(
-    ("shape", "value", "message"), [((3, 2), 0.0, "shape"), ((3, 2, 2), float("nan"), r"^transition_costs\[0, 0, 1\] is nan")]
+    ("shape", "value", "message"),
+    [((3, 2), 0.0, "shape"), ((3, 2, 2), float("nan"), r"^transition_costs\[0, 0, 1\] is nan")],
 )
 def test_bad_transition_costs_are_named(shape, value, message):
     with pytest.raises(ValueError, match=message):
