@@ -39,9 +39,7 @@ class MacroPolicy:
     features: Encoder  # just the columns that some stump looks at
     quantiser: Quantiser
     actor: StrongClassifier  # problems are macro-actions, classes are actions
-    switcher: (
-        StrongClassifier | None
-    )  # problems are config.switches, then several starts; one class
+    switcher: StrongClassifier | None  # problems are config.switches, then several starts; one class
     stretches: Stretches | None = None  # what demonstrators did, which recovery replays
 
     @classmethod
