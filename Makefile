@@ -101,7 +101,7 @@ LEVELS := $(LEVELS:%=$(BABYAI)/%/meta/info.json)
 bench-segmentation: $(PEERS) $(DATASET)/meta/info.json $(LEVELS) ## compare segmentations with other methods' where the truth is known (QUICK=1 likewise)
 	$(BIN)/python benchmarks/bench_segmentation.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
 
-bench-selectors: $(INSTALLED) $(DATASET)/meta/info.json $(LEVELS) ## which criterion tells the true segmentation from its rivals (hours; QUICK=1 likewise)
+bench-selectors: $(INSTALLED) $(DATASET)/meta/info.json $(LEVELS) ## which criterion tells the true segmentation from other candidates (hours; QUICK=1 likewise)
 	$(BIN)/python benchmarks/bench_selectors.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
 
 # A quick table is printed only: docs/results.md holds the whole one.

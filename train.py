@@ -85,7 +85,7 @@ def switch_report(result: TrainingResult) -> list[str]:
         lines.append(f"switch {source}->{target}  recognises {share:.0%} of the changes in {judges}")
     if switches.pairs and switches.left_out:
         lines.append(
-            "             (its threshold, cues and where changes were moved to are by other demonstrations)"
+            "             (threshold and cues by other demonstrations, changes as the search had cut them)"
         )
     if discovery is not None and not discovery.kept.scores.runnable:
         lines.append(

@@ -23,7 +23,7 @@ TRIES = 3  # rounds in a row without success: columns are drawn and networks sta
 
 @dataclass(frozen=True)
 class Round:
-    """What a boosting round reports to whoever watches."""
+    """What a boosting round reports to its observer."""
 
     stage: str  # discover | score | recognise | validate | fit | switch
     number: int  # from 1

@@ -37,7 +37,7 @@ def finished(
     if discovery is not None:
         labels = discovery.kept.labels.unique(return_inverse=True)[1]
         bound, runnable = discovery.kept.transitions(task.lengths), discovery.kept.scores.runnable
-    if not runnable:  # changes that cannot be recognised say nothing of where they belong
+    if not runnable or fit.weight == 0:  # switch functions then have no say in where changes lie
         fit = replace(fit, weight=0.0, switches=replace(fit.switches, aligned=False))
     settled = settle(fit, replace(task, max_transitions=bound), labels, on_round)
     sure, final = torch.ones(len(labels)), None

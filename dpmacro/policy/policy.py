@@ -191,11 +191,12 @@ class MacroPolicy:
             path.write_text(json.dumps(asdict(self.config), indent=2) + "\n")
 
     @classmethod
-    def load(cls, folder: Path, device: str | torch.device = "cpu") -> "MacroPolicy":
+    def load(cls, folder: str | Path, device: str | torch.device = "cpu") -> "MacroPolicy":
         """Read a policy that `save` wrote.
 
         Raises ValueError naming the file where it is missing, unreadable or does not fit the other one.
         """
+        folder = Path(folder)
         for name in (CONFIG_NAME, WEIGHTS_NAME):
             if not (folder / name).is_file():
                 raise ValueError(

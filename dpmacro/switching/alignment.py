@@ -1,7 +1,7 @@
 """Change points moved to where switch functions fire.
 
-A change point that lies a frame or two late in a few trajectories spoils the switch function that learns from
-it. Functions fitted to the other trajectories show where it belongs.
+A change point that lies a frame or two late in a few trajectories makes the switch function that learns from
+it worse. Functions fitted to the other trajectories show where it belongs.
 """
 
 from collections.abc import Callable

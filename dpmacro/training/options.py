@@ -244,4 +244,4 @@ class TrainOptions:
         try:
             torch.empty(0, device=self.device)
         except (RuntimeError, AssertionError) as error:
-            raise ValueError(f"device {self.device!r} is not to be had here: give --device=cpu") from error
+            raise ValueError(f"device {self.device!r} is not available here: give --device=cpu") from error
