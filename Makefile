@@ -74,7 +74,7 @@ $(DATASET)/meta/info.json: | $(INSTALLED)
 
 $(DEMO)/train/%/checkpoints/last/pretrained_model/config.json: $(DATASET)/meta/info.json
 	rm -rf $(DEMO)/train/$*
-	$(BIN)/python train.py --dataset.root=$(DATASET) --planner.type=$* --output_dir=$(DEMO)/train/$*
+	$(BIN)/python train.py --dataset.root=$(DATASET) --planner.type=$* --planner.recovery=true --output_dir=$(DEMO)/train/$*
 
 # The teacher sees positions, not pixels: small pictures save its time and change nothing.
 $(EVAL)/teacher/eval_info.json: | $(INSTALLED)
