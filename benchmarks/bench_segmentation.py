@@ -23,7 +23,7 @@ from segmentation_peers import PEERS, Found
 from segmentation_sources import TOLERANCES, Source, check_recorded, sources
 from tqdm import tqdm
 
-from dpmacro.discovery.dpboost import DPBoost
+from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features
 from dpmacro.features.memory import Plan

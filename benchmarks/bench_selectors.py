@@ -28,8 +28,8 @@ from tqdm import tqdm
 from dpmacro.boosting.losses import class_targets, exponentials_of
 from dpmacro.data.synthetic import digits
 from dpmacro.discovery.candidates import Candidate, left_out_charges
-from dpmacro.discovery.dpboost import DPBoost
 from dpmacro.discovery.result import Discovery
+from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features
 from dpmacro.features.levels import SortedLevels

@@ -10,8 +10,8 @@ import typing as _typing
 if _typing.TYPE_CHECKING:
     from dpmacro.annotation.annotate import Annotation, annotate
     from dpmacro.data.demonstrations import Demonstrations
-    from dpmacro.discovery.dpboost import DPBoost
-    from dpmacro.discovery.result import DPBoostResult
+    from dpmacro.estimator.dpboost import DPBoost
+    from dpmacro.estimator.result import DPBoostResult
     from dpmacro.policy.policy import MacroPolicy
     from dpmacro.segmentation.recursion import Segmentation, segment
 
@@ -28,8 +28,8 @@ __all__ = [
 
 _MODULE_OF = {
     "Annotation": "dpmacro.annotation.annotate",
-    "DPBoost": "dpmacro.discovery.dpboost",
-    "DPBoostResult": "dpmacro.discovery.result",
+    "DPBoost": "dpmacro.estimator.dpboost",
+    "DPBoostResult": "dpmacro.estimator.result",
     "Demonstrations": "dpmacro.data.demonstrations",
     "MacroPolicy": "dpmacro.policy.policy",
     "Segmentation": "dpmacro.segmentation.recursion",

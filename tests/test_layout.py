@@ -27,6 +27,7 @@ ORDER = (
     "boosting",
     "switching",
     "discovery",
+    "estimator",
     "policy",
     "annotation",
     "evaluation",

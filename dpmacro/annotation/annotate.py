@@ -9,7 +9,7 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.discovery.hindsight import CHUNK, SwitchTerms, action_costs, switch_terms_costs
+from dpmacro.estimator.hindsight import CHUNK, SwitchTerms, action_costs, switch_terms_costs
 from dpmacro.features.base import frames_before
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.segmentation.marginals import margins

@@ -8,7 +8,7 @@ from torch.utils.tensorboard import SummaryWriter
 from dpmacro import figures
 from dpmacro.annotation.pictures import chosen_pixels, mean_images
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.discovery.result import DPBoostResult
+from dpmacro.estimator.result import DPBoostResult
 from dpmacro.policy.policy import MacroPolicy
 
 __all__ = ["TrainingPictures"]

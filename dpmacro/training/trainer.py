@@ -18,10 +18,10 @@ from dpmacro import figures
 from dpmacro.boosting.crossfit import CLASSIFIER_FOLDS
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
-from dpmacro.discovery.dpboost import DPBoost
 from dpmacro.discovery.model_order import Choice, choose
-from dpmacro.discovery.result import DPBoostResult
 from dpmacro.discovery.settings import paper_switches
+from dpmacro.estimator.dpboost import DPBoost
+from dpmacro.estimator.result import DPBoostResult
 from dpmacro.features.base import Encoder
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features

@@ -13,7 +13,7 @@ from dpmacro.annotation.annotate import annotate
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.discovery.dpboost import DPBoost
+from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.features.base import frames_before
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features

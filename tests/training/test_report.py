@@ -9,7 +9,7 @@ import torch
 
 import train
 from dpmacro.data.synthetic import two_rules
-from dpmacro.discovery.dpboost import DPBoost
+from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.training.run_folder import RunFolder
 
 WARNING = "warning      no segmentation was found whose changes can be recognised as they come."

@@ -7,9 +7,10 @@ import torch
 
 from dpmacro.boosting.loop import Round
 from dpmacro.discovery.candidates import Task, confidence
-from dpmacro.discovery.result import Discovery, DPBoostResult
+from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt
-from dpmacro.discovery.settling import FinalFit, settle
+from dpmacro.estimator.result import DPBoostResult
+from dpmacro.estimator.settling import FinalFit, settle
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import transition_counts
 

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import TypeCheckError
 from refusals import SMALL, A, L, N, X, fitted, refused
 
-from dpmacro.discovery.arguments import as_device, check_options
-from dpmacro.discovery.dpboost import DPBoost
+from dpmacro.estimator.arguments import as_device, check_options
+from dpmacro.estimator.dpboost import DPBoost
 
 T = torch.tensor(X)
 WHOLE = (X * 9).round().astype(np.int64)

@@ -9,7 +9,7 @@ from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.data.synthetic import digits, two_rules
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
-from dpmacro.discovery.dpboost import DPBoost
+from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics import frame_accuracy

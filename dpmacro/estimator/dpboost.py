@@ -4,7 +4,7 @@
 
 in every trajectory (Lefakis and Fleuret, Section III). A search proposes segmentations
 (`discovery/search.py`), left-out trajectories say which to keep, and classifiers and switch functions are
-fitted to it with the exact learner (`discovery/final.py`).
+fitted to it with the exact learner (`estimator/final.py`).
 """
 
 from collections.abc import Callable
@@ -19,14 +19,15 @@ from torch import Tensor
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Round
-from dpmacro.discovery.arguments import as_actions, as_device, as_features, check_options, check_sizes
 from dpmacro.discovery.candidates import Task
-from dpmacro.discovery.final import finished
-from dpmacro.discovery.prediction import levels_of, predicted, segmented
-from dpmacro.discovery.result import Discovery, DPBoostResult
+from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt, discover
 from dpmacro.discovery.settings import SearchSettings, paper_switches
-from dpmacro.discovery.settling import FinalFit
+from dpmacro.estimator.arguments import as_actions, as_device, as_features, check_options, check_sizes
+from dpmacro.estimator.final import finished
+from dpmacro.estimator.prediction import levels_of, predicted, segmented
+from dpmacro.estimator.result import DPBoostResult
+from dpmacro.estimator.settling import FinalFit
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.switching.training import SwitchSettings

@@ -19,7 +19,7 @@ from dpmacro.boosting.losses import class_targets
 from dpmacro.boosting.stopping import validated_rounds
 from dpmacro.discovery.alternation import alternate
 from dpmacro.discovery.candidates import Task
-from dpmacro.discovery.hindsight import CHUNK, SwitchTerms, action_costs, switch_terms_costs
+from dpmacro.estimator.hindsight import CHUNK, SwitchTerms, action_costs, switch_terms_costs
 from dpmacro.segmentation.recursion import segment
 from dpmacro.segmentation.segments import macro_segments
 from dpmacro.switching.alignment import realigned

@@ -5,8 +5,8 @@ from jaxtyping import Int64, Num, UInt8
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames
-from dpmacro.discovery.hindsight import CHUNK, action_costs, switch_terms_costs
-from dpmacro.discovery.result import DPBoostResult
+from dpmacro.estimator.hindsight import CHUNK, action_costs, switch_terms_costs
+from dpmacro.estimator.result import DPBoostResult
 from dpmacro.features.quantising import Quantiser
 from dpmacro.segmentation.recursion import segment
 from dpmacro.switching.functions import predicted_labels

@@ -7,8 +7,8 @@ from visible import task_of, visible_change
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.discovery import settling
-from dpmacro.discovery.hindsight import action_costs, switch_terms_costs
-from dpmacro.discovery.settling import FinalFit, settle
+from dpmacro.estimator.hindsight import action_costs, switch_terms_costs
+from dpmacro.estimator.settling import FinalFit, settle
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 from dpmacro.segmentation.segments import macro_segments
@@ -84,7 +84,7 @@ def test_a_fit_is_repeated_until_it_wants_what_it_was_fitted_to(monkeypatch):
     """Three fits at most: with one allowed the same labels are not settled."""
     data, task, labels = restless(2)
     assert settle(fit_of(data), task, labels).unsettled == 0
-    monkeypatch.setattr("dpmacro.discovery.settling.PASSES", 1)
+    monkeypatch.setattr("dpmacro.estimator.settling.PASSES", 1)
     assert settle(fit_of(data), task, labels).unsettled > 0
 
 
