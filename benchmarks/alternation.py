@@ -13,7 +13,7 @@ from stumps import EXACT, as_levels
 
 from dpmacro.boosting.learners.stumps import SortedLevels, StumpLearner
 from dpmacro.boosting.loop import Boosting
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.discovery.starts import random_cuts
 from dpmacro.segmentation.recursion import segment
 

@@ -25,7 +25,7 @@ from selector_scores import choices, fit_table, picture, rule_ranks, table
 from torch import Tensor
 from tqdm import tqdm
 
-from dpmacro.boosting.losses import class_targets, exponentials_of
+from dpmacro.boosting.losses.classes import class_targets, exponentials_of
 from dpmacro.data.synthetic import digits
 from dpmacro.discovery.candidates import Candidate, left_out_charges
 from dpmacro.discovery.result import Discovery

@@ -19,7 +19,7 @@ from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.convnet import ConvNetLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.features.base import frames_before
 from dpmacro.features.columns import prepare

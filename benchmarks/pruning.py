@@ -18,7 +18,7 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.stumps import StumpLearner, sweep
 from dpmacro.boosting.loop import Boosting
-from dpmacro.boosting.losses import class_targets, exponentials_of
+from dpmacro.boosting.losses.classes import class_targets, exponentials_of
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features

@@ -14,7 +14,7 @@ from torch import Tensor
 from dpmacro.boosting.learners.base import Frames, WeakLearner
 from dpmacro.boosting.learners.stumps import StumpClassifier, StumpLearner
 from dpmacro.boosting.loop import Boosting
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
 

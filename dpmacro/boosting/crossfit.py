@@ -10,7 +10,7 @@ from torch import Tensor
 from dpmacro.boosting.folds import frame_folds
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.features.levels import SortedLevels
 
 __all__ = ["CLASSIFIER_FOLDS", "LeftOutScores", "left_out_scores"]

@@ -1,19 +1,21 @@
 """The one boosting loop: strong classifiers grown a round at a time, many problems side by side.
 
-AdaBoost.MH (Schapire and Singer 1999): for every problem p the strong classifier
-f_p^m(x) = sum_t h_{p,t}^m(x) lowers sum_n d_{n,p} sum_m exp(-y_{n,p}^m f_p^m(x_n)), where d is the frame's
-base weight in the problem.
+For every problem p the strong classifier f_p(x) = sum_t h_{p,t}(x) lowers sum_n d_{n,p} c(y_n, f_p(x_n)),
+where d is the frame's base weight in the problem and c its loss (dpmacro/boosting/losses.py): with that of
+classes this is AdaBoost.MH (Schapire and Singer 1999), with those of vectors gradient boosting (Friedman
+2001).
 The macro-classes of DPBoost, the baseline and the switch functions are all problems of this kind.
 """
 
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Int64, Shaped
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import StrongClassifier, WeakLearner
-from dpmacro.boosting.losses import exponentials_of
+from dpmacro.boosting.losses.base import Loss
+from dpmacro.boosting.losses.classes import ExponentialLoss
 
 __all__ = ["Boosting", "Round"]
 
@@ -28,8 +30,8 @@ class Round:
     stage: str  # discover | score | recognise | validate | fit | switch
     number: int  # from 1
     total: int
-    loss: float  # exponential loss per frame; of the best restart while discovering
-    accuracy: float  # share of training frames whose class is right, likewise
+    loss: float  # loss per frame; of the best restart while discovering
+    accuracy: float  # share of training frames whose class is right, or of the variance explained, likewise
     labels: (
         Int64[Tensor, " frames"] | None
     )  # macro-labels, likewise; None where there is not one segmentation
@@ -42,11 +44,12 @@ class Boosting:
 
     Args:
         learner: finds the weak hypothesis of a round.
-        targets: True where y^m = +1; one set for all problems, or one each.
+        targets: of the loss, True where y^m = +1, say; one set for all problems, or one each.
         n_problems: how many strong classifiers grow side by side.
         shrinkage: factor in (0, 1] on every weak hypothesis.
         generator: the randomness of the learner.
         start: scores to begin with, which `strong` knows nothing of; zeros by default.
+        loss: what is lowered; the exponential loss of classes by default.
 
     With base weights held still the loss never rises: a weak hypothesis that does not lower it is no better
     than chance and is left out. A problem to which that happens `TRIES` times in a row has ended: it gets no
@@ -56,26 +59,28 @@ class Boosting:
     def __init__(
         self,
         learner: WeakLearner,
-        targets: Bool[Tensor, "frames #problems classes"],
+        targets: Shaped[Tensor, "frames #problems outputs"],
         n_problems: int,
         shrinkage: float,
         generator: torch.Generator,
-        start: Float[Tensor, "frames problems classes"] | None = None,
+        start: Float[Tensor, "frames problems outputs"] | None = None,
+        loss: Loss | None = None,
     ) -> None:
         if not 0 < shrinkage <= 1:
             raise ValueError(f"shrinkage is {shrinkage}: give a number above 0 and up to 1")
         self.learner = learner
+        self.loss: Loss = ExponentialLoss(targets.shape[2]) if loss is None else loss
         self.targets = targets.to(learner.device)
         self.shrinkage = shrinkage
         self.generator = generator
         shape = (learner.n_frames, n_problems, targets.shape[2])
         zeros = torch.zeros(shape, device=learner.device)
-        self.scores: Float[Tensor, "frames problems classes"] = zeros if start is None else start
+        self.scores: Float[Tensor, "frames problems outputs"] = zeros if start is None else start
         self.ended: Bool[Tensor, " problems"] = torch.zeros(
             n_problems, dtype=torch.bool, device=learner.device
         )
         self._failures = torch.zeros(shape[1], dtype=torch.int64, device=learner.device)
-        self._exponentials = exponentials_of(self.scores, self.targets)
+        self._terms = self.loss.terms(self.scores, self.targets)
         self._rounds: list = []
         self._steps: list[Tensor] = []
         self._memory: object = None
@@ -90,21 +95,24 @@ class Boosting:
         if not bool((base >= 0).all()):
             raise ValueError(f"a base weight is {float(base.min())}: weights must be 0 or more")
         self._revive(base)
-        weights = (base * ~self.ended)[:, :, None] * self._exponentials
-        before = weights.sum((0, 2), dtype=torch.float64)
-        hypotheses, self._memory = self.learner.fit(weights, self.targets, self.generator, self._memory)
+        active = base * ~self.ended
+        before = (active[:, :, None] * self._terms).sum((0, 2), dtype=torch.float64)
+        weights, responses = self.loss.working(self._terms, self.scores, self.targets, active)
+        hypotheses, self._memory = self.learner.fit(
+            weights, responses, self.generator, self._memory, self.loss
+        )
         steps = self.shrinkage * (~self.ended).to(weights.dtype)
         scores = self.scores + steps[:, None] * self.learner.outputs(hypotheses)
-        exponentials = exponentials_of(scores, self.targets)
-        after = (base[:, :, None] * exponentials).sum((0, 2), dtype=torch.float64)
+        terms = self.loss.terms(scores, self.targets)
+        after = (base[:, :, None] * terms).sum((0, 2), dtype=torch.float64)
         chance = (before > 0) & ~(after <= before * (1 - CHANCE))
         self._failures = torch.where(chance, self._failures + 1, 0)
         if bool(chance.any()):
             steps[chance] = 0
-            scores[:, chance], exponentials[:, chance] = self.scores[:, chance], self._exponentials[:, chance]
+            scores[:, chance], terms[:, chance] = self.scores[:, chance], self._terms[:, chance]
         ending = (self._failures == TRIES) & ~self.ended
         self.ended = self.ended | ending
-        self.scores, self._exponentials = scores, exponentials
+        self.scores, self._terms = scores, terms
         self._rounds.append(hypotheses)
         self._steps.append(steps)
         return ending.nonzero()[:, 0]
@@ -118,8 +126,8 @@ class Boosting:
         self._base = base
 
     def losses(self) -> Float[Tensor, "frames problems"]:
-        """sum_m exp(-y^m f^m(x)) of every frame and problem: the cost of holding the frame."""
-        return self._exponentials.sum(2)
+        """c_n of every frame and problem, the loss summed over outputs: the cost of holding the frame."""
+        return self._terms.sum(2)
 
     def strong(self, rounds: Int64[Tensor, " problems"] | None = None) -> StrongClassifier:
         """The strong classifiers of all rounds so far, or of the first `rounds` of every problem."""

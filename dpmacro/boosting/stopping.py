@@ -9,7 +9,7 @@ from torch import Tensor
 from dpmacro.boosting.folds import folds_of
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 
 __all__ = ["BestRound", "validated_rounds"]
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from dpmacro.boosting.crossfit import LeftOutScores, left_out_scores
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Round
-from dpmacro.boosting.losses import bounded_deviance
+from dpmacro.boosting.losses.classes import bounded_deviance
 from dpmacro.discovery.criteria import CandidateScores, part_sums
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.marginals import costs_without, margins

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.discovery.alternation import Alternated, alternate, pooled
 from dpmacro.discovery.candidates import Candidate, Task, distinct, score_candidates
 from dpmacro.discovery.criteria import best_candidate

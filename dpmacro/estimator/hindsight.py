@@ -12,7 +12,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames, StrongClassifier
-from dpmacro.boosting.losses import MARGIN_LIMIT, class_targets, exponentials_of
+from dpmacro.boosting.losses.classes import MARGIN_LIMIT, class_targets, exponentials_of
 from dpmacro.switching.costs import SwitchCosts, charges_of
 from dpmacro.switching.functions import cued
 

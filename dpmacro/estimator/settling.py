@@ -15,7 +15,7 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames, StrongClassifier, WeakLearner
 from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.boosting.stopping import validated_rounds
 from dpmacro.discovery.alternation import alternate
 from dpmacro.discovery.candidates import Task

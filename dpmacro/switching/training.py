@@ -15,7 +15,7 @@ from torch import Tensor
 from dpmacro.boosting.folds import folds_of
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.boosting.losses import MARGIN_LIMIT, exponentials_of
+from dpmacro.boosting.losses.classes import MARGIN_LIMIT, exponentials_of
 from dpmacro.boosting.stopping import BestRound
 from dpmacro.segmentation.segments import Segment, macro_segments, starting_macros
 from dpmacro.switching.examples import cues_of, examples, start_examples

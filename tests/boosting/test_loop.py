@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import TRIES, Boosting
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.features.levels import SortedLevels
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]

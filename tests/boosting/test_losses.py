@@ -5,7 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.boosting.losses import MARGIN_LIMIT, bounded_deviance, class_targets, exponentials_of
+from dpmacro.boosting.losses.classes import MARGIN_LIMIT, bounded_deviance, class_targets, exponentials_of
 
 
 def test_losses_are_exponentials_up_to_the_margin_limit():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.discovery import alternation
 from dpmacro.discovery.alternation import Alternated, ObjectiveWarning, alternate, pooled
 from dpmacro.discovery.starts import random_cuts

@@ -5,7 +5,7 @@ import torch
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpClassifier
-from dpmacro.boosting.losses import MARGIN_LIMIT
+from dpmacro.boosting.losses.classes import MARGIN_LIMIT
 from dpmacro.estimator.hindsight import SwitchTerms, action_costs, switch_terms_costs
 from dpmacro.switching.costs import charges_of
 from dpmacro.switching.functions import cued

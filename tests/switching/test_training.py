@@ -10,7 +10,7 @@ from visible import trajectories
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.boosting.losses import MARGIN_LIMIT
+from dpmacro.boosting.losses.classes import MARGIN_LIMIT
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import macro_segments
 from dpmacro.switching.examples import examples

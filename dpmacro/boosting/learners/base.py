@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float, Int64, UInt8
+from jaxtyping import Float, Int64, Shaped, UInt8
 from torch import Tensor
+
+from dpmacro.boosting.losses.base import Loss
 
 __all__ = ["HEAVIEST", "Frames", "StrongClassifier", "WeakLearner", "overflow"]
 
@@ -75,15 +77,17 @@ class WeakLearner(Protocol[Hypotheses, Memory]):
 
     def fit(
         self,
-        weights: Float[Tensor, "frames problems classes"],
-        targets: Bool[Tensor, "frames #problems classes"],
+        weights: Float[Tensor, "frames problems width"],
+        responses: Shaped[Tensor, "frames #problems outputs"],
         generator: torch.Generator,
         memory: Memory | None = None,
+        loss: Loss = ...,
     ) -> tuple[Hypotheses, Memory | None]:
-        """One weak hypothesis for every problem, lowering the exponential loss of the weighted frames.
+        """One weak hypothesis for every problem, lowering the loss of the weighted frames.
 
-        The second part of the result is the next round's `memory`, None in the first round: a learner keeps
-        no state of its own. Raises ValueError where weights sum to `HEAVIEST` or to no number.
+        Weights and responses are those of `loss.working`; by default the loss is the exponential one. The
+        second part of the result is the next round's `memory`, None in the first round: a learner keeps no
+        state of its own. Raises ValueError where weights sum to `HEAVIEST` or to no number.
         """
         ...
 
@@ -96,7 +100,7 @@ class WeakLearner(Protocol[Hypotheses, Memory]):
         ...
 
 
-def overflow(weights: Float[Tensor, "frames problems classes"]) -> str:
+def overflow(weights: Float[Tensor, "frames problems width"]) -> str:
     """What to say of weights that sum to `HEAVIEST` or more, or to no number."""
     sums = weights.sum((0, 2))
     problem = int((~(sums < HEAVIEST)).nonzero()[0])

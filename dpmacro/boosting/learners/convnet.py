@@ -16,14 +16,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float, Int64, UInt8
+from jaxtyping import Float, Int64, Shaped, UInt8
 from torch import Tensor
 from torch.nn import functional
 
 from dpmacro.boosting.learners.base import HEAVIEST, Frames, overflow
+from dpmacro.boosting.losses.base import Loss
+from dpmacro.boosting.losses.classes import ExponentialLoss
 
 __all__ = ["ConvNetClassifier", "ConvNetLearner", "ConvNets"]
 
+CLASSES = ExponentialLoss()
 BOUND = 2.0  # on the outputs of a weak hypothesis
 STRIDE = 2  # of the first convolution
 KERNEL = 3  # side of both
@@ -174,17 +177,18 @@ class ConvNetLearner:
 
     def fit(
         self,
-        weights: Float[Tensor, "frames problems classes"],
-        targets: Bool[Tensor, "frames #problems classes"],
+        weights: Float[Tensor, "frames problems width"],
+        responses: Shaped[Tensor, "frames #problems outputs"],
         generator: torch.Generator,
         memory: None = None,
+        loss: Loss = CLASSES,
     ) -> tuple[ConvNets, None]:
         """A newly trained network for every problem; it votes 0 in a problem whose frames have no weight."""
         if not bool((weights.sum((0, 2)) < HEAVIEST).all()):  # nor where one is NaN
             raise ValueError(overflow(weights))
-        all_targets = targets.expand(weights.shape).unbind(1)
-        pairs = zip(weights.unbind(1), all_targets, strict=True)
-        return ConvNets.stack([self._train(*pair, generator) for pair in pairs]), None
+        all_responses = responses.expand(-1, weights.shape[1], -1).unbind(1)
+        pairs = zip(weights.unbind(1), all_responses, strict=True)
+        return ConvNets.stack([self._train(*pair, loss, generator) for pair in pairs]), None
 
     @torch.no_grad()
     def outputs(self, hypotheses: ConvNets) -> Float[Tensor, "frames problems classes"]:
@@ -205,13 +209,14 @@ class ConvNetLearner:
     @torch.enable_grad()
     def _train(
         self,
-        weights: Float[Tensor, "frames classes"],
-        targets: Bool[Tensor, "frames classes"],
+        weights: Float[Tensor, "frames width"],
+        responses: Shaped[Tensor, "frames outputs"],
+        loss: Loss,
         generator: torch.Generator,
     ) -> ConvNets:
-        """One network of low Z; its parameters need no gradient any more."""
+        """One network that leaves little of the loss; its parameters need no gradient any more."""
         size = (self._reduced.shape[1], self._reduced.shape[2])
-        start = ConvNets.random(self.channels, weights.shape[1], size, generator)
+        start = ConvNets.random(self.channels, responses.shape[1], size, generator)
         frame_weights = weights.sum(1)
         held = frame_weights.nonzero()[:, 0]
         if not len(held):
@@ -227,7 +232,7 @@ class ConvNetLearner:
         for batch in batches:
             outputs = nets.votes(_pixels(self._reduced[batch], self._reduced[self.previous[batch]]))[:, 0]
             shares = weights[batch] / frame_weights[batch, None]
-            losses = shares * torch.where(targets[batch], -outputs, outputs).exp()
+            losses = loss.remaining(shares, responses[batch], outputs)
             optimiser.zero_grad()
             losses.sum(1).mean().backward()
             optimiser.step()

@@ -2,14 +2,15 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, reduce
-from operator import add
+from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float, Int64, UInt8
+from jaxtyping import Float, Int64, Shaped, UInt8
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import HEAVIEST, Frames, overflow
+from dpmacro.boosting.losses.base import Loss
+from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.features.levels import LEVELS, SortedColumns, SortedLevels
 
 __all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps", "sweep"]
@@ -17,6 +18,7 @@ __all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps", "sweep"]
 CACHED = 2**18  # histogram entries of a chunk of columns that stay in a core's cache
 ON_DEVICE = 2**24  # likewise where a large chunk keeps the device busy
 REDRAWN = 10  # rounds that a draw serves at least where its columns are sorted when they are drawn
+CLASSES = ExponentialLoss()
 SHORTLIST = 64  # columns that every problem passes on to the rounds that re-use them
 
 
@@ -90,12 +92,15 @@ class StumpClassifier:
 
 @dataclass(frozen=True)
 class StumpLearner:
-    """Exact search for the stump of least exponential loss (Schapire and Singer 1999, AdaBoost.MH).
+    """Exact search for the stump that leaves the least loss, of classes or of vectors.
 
-    With W+ and W- the weights of right and wrong class labels on one side of a threshold, the best
-    votes are 1/2 ln((W+ + e) / (W- + e)), and the stump of least Z = 2 sum sqrt(W+ W-) over sides and classes
-    wins; ties go to the first column, then to the lowest threshold. e is `smoothing` times the mean
-    weight of a frame that has any, so votes stay finite and never overshoot the exact minimiser.
+    Of classes (Schapire and Singer 1999, AdaBoost.MH): with W+ and W- the weights of right and wrong class
+    labels on one side of a threshold, the best votes are 1/2 ln((W+ + e) / (W- + e)), and the stump of least
+    Z = 2 sum sqrt(W+ W-) over sides and classes wins. Of vectors: with G and H the sums of weighted residuals
+    and of weights on one side, the votes are G / H, and the stump of largest sum |G|^2 / H wins
+    (dpmacro/boosting/losses/vectors.py). Ties go to the first column, then to the lowest threshold. e is
+    `smoothing` times the mean weight of a frame that has any, so votes stay finite and never overshoot the
+    exact minimiser.
 
     Two options trade exactness for time:
         drawn: columns, drawn at random, that are searched instead of all, where it is not 0.
@@ -133,27 +138,29 @@ class StumpLearner:
 
     def fit(
         self,
-        weights: Float[Tensor, "frames problems classes"],
-        targets: Bool[Tensor, "frames #problems classes"],
+        weights: Float[Tensor, "frames problems width"],
+        responses: Shaped[Tensor, "frames #problems outputs"],
         generator: torch.Generator,
         memory: Search | None = None,
+        loss: Loss = CLASSES,
     ) -> tuple[Stumps, Search | None]:
         """The best stump of every problem, and what the next round searches."""
         search = self._search(generator) if memory is None else memory
         shortlisting = self.reuse > 1 and self.drawn == 0 and memory is None
-        found, minima = [], []
-        for chunk, below, loss in sweep(search.data, weights, targets):
-            found.append(_lowest(loss, below, chunk.thresholds))
+        held = (weights > 0).any(2).sum(0).clamp(min=1)
+        slack = self.smoothing * weights.sum((0, 2)) / (held * weights.shape[2])
+        found, minima, first = [], [], 0
+        for chunk, below, left in sweep(search.data, weights, responses, loss, slack):
+            found.append(_lowest(left, below, chunk.thresholds, first))
+            first += len(chunk.thresholds)
             if shortlisting:
-                minima.append(loss.amin(1))
+                minima.append(left.amin(1))
         values, places, thresholds, sides = (torch.stack(part) for part in zip(*found, strict=True))
         chunk_of = values.argmin(0)
         problems = torch.arange(len(chunk_of), device=self.device)
-        column = places[chunk_of, problems] + chunk_of * _columns_at_a_time(weights)
-        held = (weights > 0).any(2).sum(0).clamp(min=1)
-        slack = self.smoothing * weights.sum((0, 2)) / (held * weights.shape[2])
-        votes = _votes(sides[chunk_of, problems], slack)
-        stumps = Stumps(search.data.columns[column], thresholds[chunk_of, problems], votes)
+        votes = loss.votes(sides[chunk_of, problems], slack)
+        columns = search.data.columns[places[chunk_of, problems]]
+        stumps = Stumps(columns, thresholds[chunk_of, problems], votes)
         if shortlisting:
             best = torch.cat(minima).topk(min(SHORTLIST, self.data.n_columns), dim=0, largest=False).indices
             return stumps, Search(self.data.take(best.unique()), self.reuse - 1)
@@ -186,75 +193,64 @@ class StumpLearner:
 
 def sweep(
     data: SortedLevels,
-    weights: Float[Tensor, "frames problems classes"],
-    targets: Bool[Tensor, "frames #problems classes"],
+    weights: Float[Tensor, "frames problems width"],
+    responses: Shaped[Tensor, "frames #problems outputs"],
+    loss: Loss = CLASSES,
+    slack: Float[Tensor, " problems"] | None = None,
 ) -> Iterator[
     tuple[
         SortedColumns,
-        Float[Tensor, "columns bins 2 classes problems"],
+        Float[Tensor, "columns bins rows entries problems"],
         Float[Tensor, "columns bins problems"],
     ]
 ]:
-    """Every sorted column, a chunk at a time: the chunk, the weights up to each threshold, and Z / 2 of each.
+    """Every sorted column, a chunk at a time: the chunk, sums up to each threshold, and what each leaves.
 
-    Weights are those of [right, wrong] class labels. Raises ValueError where they sum to `HEAVIEST` or to no
-    number.
+    Sums are those of the loss's table, what is left is by its `split`; `slack` is 0 by default. Raises
+    ValueError where the rows sum to `HEAVIEST` or to no number.
     """
-    weights, targets = weights.transpose(1, 2), targets.transpose(1, 2)
-    table = torch.stack([weights * targets, weights * ~targets], 1).flatten(1)
+    rows = loss.table(weights, responses)
+    table = rows.flatten(1)
     total = table.sum(0, dtype=torch.float64).to(table.dtype)
-    if not bool((total < HEAVIEST).all()):  # nor where one is NaN
-        raise ValueError(overflow(weights.transpose(1, 2)))
-    for chunk in data.chunks(_columns_at_a_time(weights)):
-        below = _histograms(chunk, table, total).cumsum_(1).unflatten(2, (2, *weights.shape[1:]))
-        yield chunk, below, _loss(below)
+    if not bool((total.abs() < HEAVIEST).all()):  # nor where one is NaN
+        raise ValueError(overflow(weights))
+    slack = weights.new_zeros(weights.shape[1]) if slack is None else slack
+    for chunk in data.chunks(_columns_at_a_time(table)):
+        below = _histograms(chunk, table, total, loss.signed).cumsum_(1).unflatten(2, rows.shape[1:])
+        yield chunk, below, loss.split(below, slack)
 
 
-def _columns_at_a_time(weights: Tensor) -> int:
+def _columns_at_a_time(table: Float[Tensor, "frames entries"]) -> int:
     """Columns whose histograms are in memory together."""
-    room = CACHED if weights.device.type == "cpu" else ON_DEVICE
-    return min(max(room // (LEVELS * 2 * weights[0].numel()), 1), 128)
+    room = CACHED if table.device.type == "cpu" else ON_DEVICE
+    return min(max(room // (LEVELS * table.shape[1]), 1), 128)
 
 
 def _histograms(
-    chunk: SortedColumns, table: Float[Tensor, "frames entries"], total: Float[Tensor, " entries"]
+    chunk: SortedColumns,
+    table: Float[Tensor, "frames entries"],
+    total: Float[Tensor, " entries"],
+    signed: bool,
 ) -> Float[Tensor, "columns bins entries"]:
-    """Weights in every bin: sorted frames are the bags' indices; the fullest bin gets what they leave."""
+    """Sums in every bin: sorted frames are the bags' indices; the fullest bin gets what they leave."""
     sums = torch.nn.functional.embedding_bag(chunk.order, table, chunk.starts.flatten(), mode="sum")
     sums = sums.unflatten(0, chunk.starts.shape)
-    rest = (total - sums.sum(1)).clamp_(min=0)
+    rest = total - sums.sum(1)
+    if not signed:
+        rest.clamp_(min=0)
     sums[torch.arange(len(sums), device=sums.device), chunk.fullest] = rest
     return sums
 
 
-def _loss(
-    below: Float[Tensor, "columns bins 2 classes problems"],
-) -> Float[Tensor, "columns bins problems"]:
-    """Z / 2 of every threshold: sqrt(W+ W-) summed over the two sides and the classes."""
-    above = below[:, -1:] - below
-    low = (below[:, :, 0] * below[:, :, 1]).sqrt_()
-    high = (above[:, :, 0] * above[:, :, 1]).clamp_(min=0).sqrt_()
-    return reduce(add, low.add_(high).unbind(2))
-
-
 def _lowest(
-    loss: Float[Tensor, "columns bins problems"],
-    below: Float[Tensor, "columns bins 2 classes problems"],
+    left: Float[Tensor, "columns bins problems"],
+    below: Float[Tensor, "columns bins rows entries problems"],
     thresholds: UInt8[Tensor, "columns bins"],
+    first: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Loss, column, threshold and weights [below, in all][right, wrong] of every problem's best stump."""
-    place = loss.flatten(0, 1).argmin(0)
-    bins, problems = loss.shape[1], torch.arange(len(place), device=place.device)
+    """What is left, column from `first` on, threshold and sums [below, in all] of every problem's best."""
+    place = left.flatten(0, 1).argmin(0)
+    bins, problems = left.shape[1], torch.arange(len(place), device=place.device)
     column, bin_ = place // bins, place % bins
     pairs = below[column, bin_, :, :, problems], below[column, -1, :, :, problems]
-    return loss[column, bin_, problems], column, thresholds[column, bin_], torch.stack(pairs, 1)
-
-
-def _votes(
-    sides: Float[Tensor, "problems 2 2 classes"], slack: Float[Tensor, " problems"]
-) -> Float[Tensor, "problems 2 classes"]:
-    """1/2 ln((W+ + e) / (W- + e)) for both sides, from [below, total] weights of [right, wrong] labels."""
-    below, total = sides.unbind(1)
-    weights = torch.stack([below, (total - below).clamp(min=0)], 1)
-    right, wrong = (weights + slack[:, None, None, None].clamp(min=torch.finfo(slack.dtype).tiny)).unbind(2)
-    return (right / wrong).log() / 2
+    return left[column, bin_, problems], column + first, thresholds[column, bin_], torch.stack(pairs, 1)

@@ -9,7 +9,7 @@ from dpmacro.boosting.learners.convnet import BOUND, ConvNetClassifier, ConvNetL
 from dpmacro.boosting.learners.kinds import classifier_from, classifier_tensors
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting
-from dpmacro.boosting.losses import class_targets
+from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.pixels import Pixels
 from dpmacro.features.quantising import Quantiser

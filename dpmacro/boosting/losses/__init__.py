@@ -1,0 +1,1 @@
+"""What strong learners minimise: a loss for every kind of action."""
