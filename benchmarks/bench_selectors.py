@@ -25,7 +25,7 @@ from selector_scores import choices, fit_table, picture, rule_ranks, table
 from torch import Tensor
 from tqdm import tqdm
 
-from dpmacro.boosting.losses.classes import class_targets, exponentials_of
+from dpmacro.boosting.losses.classes import exponentials_of
 from dpmacro.data.synthetic import digits
 from dpmacro.discovery.candidates import Candidate, left_out_charges
 from dpmacro.discovery.result import Discovery
@@ -149,7 +149,7 @@ def criteria(candidate: Candidate, discovery: Discovery) -> dict[str, float]:
     cheapest segmentation; `unstable` is the share of frames that it labels otherwise.
     """
     task, labels = discovery.task, candidate.labels
-    targets = class_targets(task.actions, task.n_actions)
+    targets = task.loss.targets(task.actions)
     exponential = exponentials_of(candidate.left_out, targets).sum(2)
     again = segment(left_out_charges(candidate, task), task.lengths, discovery.max_transitions)
     same = (discovery.alternated.labels == labels).all(1)

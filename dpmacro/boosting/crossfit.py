@@ -4,13 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
 from dpmacro.boosting.folds import frame_folds
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.boosting.losses.classes import class_targets
+from dpmacro.boosting.losses.base import Loss
 from dpmacro.features.levels import SortedLevels
 
 __all__ = ["CLASSIFIER_FOLDS", "LeftOutScores", "left_out_scores"]
@@ -24,28 +24,29 @@ SHRINKAGE = 0.2
 
 @dataclass(frozen=True)
 class LeftOutScores:
-    """f^m(x) of every frame, by classifiers fitted to the other folds."""
+    """Scores of every frame, by classifiers fitted to the other folds."""
 
-    macros: Float[Tensor, "candidates frames macros actions"]  # one classifier for every macro-action of each
-    alone: Float[Tensor, "frames actions"]  # a single classifier: the baseline
+    macros: Float[Tensor, "candidates frames macros outputs"]  # one classifier for every macro-action of each
+    alone: Float[Tensor, "frames outputs"]  # a single classifier: the baseline
 
 
 def left_out_scores(
     data: SortedLevels,
-    actions: Int64[Tensor, " frames"],
+    actions: Num[Tensor, "frames *dims"],
     lengths: Int64[Tensor, " trajectories"],
     candidates: Int64[Tensor, "candidates frames"],
     n_macros: int,
-    n_actions: int,
+    loss: Loss,
     seed: int,
     groups: Int64[Tensor, " trajectories"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,
 ) -> LeftOutScores:
     """Cross-fitted scores of candidate segmentations and of the baseline, all grown side by side.
 
-    Every candidate gets the same folds and random columns, drawn by `seed`. Trajectories of a group fall into
-    the same fold; where there are fewer groups than folds, stretches of trajectories are left out instead.
-    `on_round` is called with the training loss of all of them together.
+    `loss` is that of the actions, classes or vectors. Every candidate gets the same folds and random columns,
+    drawn by `seed`. Trajectories of a group fall into the same fold; where there are fewer groups than folds,
+    stretches of trajectories are left out instead. `on_round` is called with the training loss of all of them
+    together, and the accuracy of one fold's baseline.
 
     A macro-action has a part of the frames only. If its classifier learned from those alone it would know
     less than the baseline of what all macro-actions have in common, and a segmentation would be judged by
@@ -60,19 +61,22 @@ def left_out_scores(
     held = torch.nn.functional.one_hot(candidates, n_macros).float().transpose(0, 1).to(learner.device)
     base = (held[:, :, None] * kept[:, None, :, None]).flatten(1)
     base = torch.cat([base, kept], 1)
-    targets = class_targets(actions, n_actions).to(learner.device)
+    actions = actions.to(learner.device)
+    targets = loss.targets(actions)
     folds = torch.arange(n_folds, device=learner.device)
     forks = torch.cat([folds.repeat_interleave(n_macros).repeat(len(candidates)), folds])
-    boosting, rounds = Boosting(learner, targets, n_folds, SHRINKAGE, generator), SHARED_ROUNDS + OWN_ROUNDS
+    boosting = Boosting(learner, targets, n_folds, SHRINKAGE, generator, loss=loss)
+    rounds = SHARED_ROUNDS + OWN_ROUNDS
     for number in range(1, rounds + 1):
         if number == SHARED_ROUNDS + 1:
             start = boosting.scores[:, forks]
-            boosting = Boosting(learner, targets, len(forks), SHRINKAGE, generator, start)
+            boosting = Boosting(learner, targets, len(forks), SHRINKAGE, generator, start, loss)
         weights = kept if number <= SHARED_ROUNDS else base
         boosting.round(weights)
-        loss = float((weights * boosting.losses()).sum() / weights.sum())
-        right = boosting.scores.argmax(2) == actions.to(learner.device)[:, None]
-        on_round(Round("score", number, rounds, loss, float((weights * right).sum() / weights.sum()), None))
+        lost = float((weights * boosting.losses()).sum() / weights.sum())
+        known = weights[:, -n_folds:]  # of one fit, all frames but a fold
+        accuracy = 1 - loss.error(boosting.scores[known[:, 0] > 0, -n_folds], actions[known[:, 0] > 0])
+        on_round(Round("score", number, rounds, lost, accuracy, None))
     frames, own = torch.arange(len(actions)), fold_of
     macros = boosting.scores[:, :-n_folds].unflatten(1, (len(candidates), n_folds, n_macros))
     alone = boosting.scores[:, -n_folds:]

@@ -1,7 +1,7 @@
 """The one boosting loop: strong classifiers grown a round at a time, many problems side by side.
 
 For every problem p the strong classifier f_p(x) = sum_t h_{p,t}(x) lowers sum_n d_{n,p} c(y_n, f_p(x_n)),
-where d is the frame's base weight in the problem and c its loss (dpmacro/boosting/losses.py): with that of
+where d is the frame's base weight in the problem and c its loss (dpmacro/boosting/losses): with that of
 classes this is AdaBoost.MH (Schapire and Singer 1999), with those of vectors gradient boosting (Friedman
 2001).
 The macro-classes of DPBoost, the baseline and the switch functions are all problems of this kind.

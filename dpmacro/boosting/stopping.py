@@ -3,13 +3,13 @@
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
 from dpmacro.boosting.folds import folds_of
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.boosting.losses.classes import class_targets
+from dpmacro.boosting.losses.base import Loss
 
 __all__ = ["BestRound", "validated_rounds"]
 
@@ -41,10 +41,11 @@ class BestRound:
 def validated_rounds(
     learner: WeakLearner,
     labels: Int64[Tensor, " frames"],
-    actions: Int64[Tensor, " frames"],
+    actions: Num[Tensor, "frames *dims"],
     lengths: Int64[Tensor, " trajectories"],
     rounds: int,
     shrinkage: float,
+    loss: Loss,
     generator: torch.Generator,
     groups: Int64[Tensor, " trajectories"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,
@@ -52,9 +53,9 @@ def validated_rounds(
     """How many of `rounds` boosting rounds left-out trajectories want, 1 or more.
 
     A classifier for every macro-class is fitted, its labels held still, with a quarter of the trajectories
-    left out; the round with the fewest wrong actions on those is the answer. The share of wrong actions is
-    asked rather than the exponential loss, which rises as soon as a few left-out frames are confidently
-    wrong, long before the planner's decisions suffer.
+    left out; the round with the least error on those is the answer. The error, of classes the share of
+    wrong actions, is asked rather than the exponential loss, which rises as soon as a few left-out frames
+    are confidently wrong, long before the planner's decisions suffer.
 
     Trajectories of the same group are left out together. Raises ValueError where nothing can be left out.
     """
@@ -67,15 +68,13 @@ def validated_rounds(
     labels, actions = labels.to(learner.device), actions.to(learner.device)
     n_macros = int(labels.max()) + 1
     base = torch.nn.functional.one_hot(labels, n_macros).float() * ~left_out[:, None]
-    targets = class_targets(actions, int(actions.max()) + 1)
-    boosting = Boosting(learner, targets, n_macros, shrinkage, generator)
+    boosting = Boosting(learner, loss.targets(actions), n_macros, shrinkage, generator, loss=loss)
     stopping, frames = BestRound(rounds), torch.arange(len(labels), device=learner.device)
     for number in range(1, rounds + 1):
         boosting.round(base)
-        wrong = boosting.scores[frames, labels].argmax(1) != actions
-        error = wrong[left_out].float().mean()
-        loss = float(boosting.losses()[frames, labels][left_out].mean())
-        on_round(Round("validate", number, rounds, loss, 1 - float(error), None))
-        if stopping.exhausted(error[None]) or bool(boosting.ended.all()):
+        error = loss.error(boosting.scores[frames, labels][left_out], actions[left_out])
+        lost = float(boosting.losses()[frames, labels][left_out].mean())
+        on_round(Round("validate", number, rounds, lost, 1 - error, None))
+        if stopping.exhausted(torch.tensor([error])) or bool(boosting.ended.all()):
             break
     return int(stopping.best)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
 from dpmacro.boosting.loop import Boosting, Round
@@ -31,7 +31,7 @@ class Alternated:
 
 def alternate(
     boosting: Boosting,
-    actions: Int64[Tensor, " frames"],
+    actions: Num[Tensor, "frames *dims"],
     lengths: Int64[Tensor, " trajectories"],
     starts: Int64[Tensor, "restarts frames"],
     n_macros: int,
@@ -86,8 +86,7 @@ def alternate(
                 stacklevel=2,
             )
         best = int(loss[-1].argmin())
-        chosen = boosting.scores[frames, best * n_macros + labels[best]].argmax(1)
-        accuracy = float((chosen == actions).float().mean())
+        accuracy = 1 - boosting.loss.error(boosting.scores[frames, best * n_macros + labels[best]], actions)
         over = tuple(ended.tolist()) if restarts == 1 else ()
         now = float(loss[-1][best]), accuracy, labels[best], float(changed[best])
         on_round(Round(stage, number, rounds, *now, ended=over))

@@ -11,13 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
 from dpmacro.boosting.crossfit import LeftOutScores, left_out_scores
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Round
-from dpmacro.boosting.losses.classes import bounded_deviance
+from dpmacro.boosting.losses.base import Loss
 from dpmacro.discovery.criteria import CandidateScores, part_sums
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.marginals import costs_without, margins
@@ -40,7 +40,7 @@ LEADERS = 4  # and so many whose training loss is least
 SWITCH_ROUNDS = 30
 SWITCH_COLUMNS = 512
 SCREENING_COLUMNS = 128
-CHARGE_LIMIT = 1.0  # margin at which the bounded deviance is cut off
+CHARGE_LIMIT = 1.0  # at which charges are cut off: a margin of classes, two deviations of vectors
 REACH = 5  # frames on either side of one that do not vote on its label
 
 
@@ -48,13 +48,14 @@ REACH = 5  # frames on either side of one that do not vote on its label
 class Task:
     """What is to be explained, and what is left out together."""
 
-    actions: Int64[Tensor, " frames"]
+    actions: Num[Tensor, "frames *dims"]  # classes 0.., or standardised vectors
     lengths: Int64[Tensor, " trajectories"]
     groups: Int64[Tensor, " trajectories"]  # trajectories of a group are left out together
-    n_actions: int
+    loss: Loss  # of the actions
     macros: int
     max_transitions: int
     seed: int
+    order: str = "free"  # of macro-actions: "free", or "chain" for 0, 1, ..., S in every trajectory
 
     @property
     def n_groups(self) -> int:
@@ -68,7 +69,8 @@ class Candidate:
 
     labels: Int64[Tensor, " frames"]
     scores: CandidateScores
-    left_out: Float[Tensor, "frames macros actions"]  # f_q^m(x) by classifiers that never saw the frame
+    left_out: Float[Tensor, "frames macros outputs"]  # scores by classifiers that never saw the frame
+    scale: Float[Tensor, " outputs"]  # deviation of the baseline's left-out residuals
     switches: SwitchFunctions
 
     @property
@@ -102,13 +104,14 @@ def score_candidates(
         task.lengths,
         candidates[order],
         task.macros,
-        task.n_actions,
+        task.loss,
         task.seed,
         task.groups,
         on_round,
     )
+    scale = task.loss.scale(fitted.alone, task.actions.cpu())
     return [
-        Candidate(candidates[k], _scores(task, candidates[k], found, fitted, place), own, found)
+        Candidate(candidates[k], _scores(task, candidates[k], found, fitted, place, scale), own, scale, found)
         for place, (k, found, own) in enumerate(zip(order, switches, fitted.macros, strict=True))
     ]
 
@@ -131,16 +134,18 @@ def confidence(
 
 
 def left_out_charges(candidate: Candidate, task: Task) -> Float[Tensor, "frames macros"]:
-    """Bounded deviances, in nats, of every frame under every macro-action's left-out classifiers."""
-    return action_charges(candidate.left_out, task, CHARGE_LIMIT)
+    """Bounded charges, in nats, of every frame under every macro-action's left-out classifiers."""
+    return action_charges(candidate.left_out, task, CHARGE_LIMIT, candidate.scale)
 
 
 def action_charges(
-    scores: Float[Tensor, "frames problems actions"], task: Task, limit: float
+    scores: Float[Tensor, "frames problems outputs"],
+    task: Task,
+    limit: float,
+    scale: Float[Tensor, " outputs"],
 ) -> Float[Tensor, "frames problems"]:
-    """Bounded deviances of the actions, in nats, margins cut off at -`limit` and `limit`."""
-    targets = torch.nn.functional.one_hot(task.actions.cpu(), task.n_actions).bool()
-    return bounded_deviance(scores, targets[:, None], limit)
+    """What left-out scores are charged for the actions, in nats; see `Loss.charge`."""
+    return task.loss.charge(scores, task.loss.targets(task.actions.cpu()), limit, scale)
 
 
 def distinct(candidates: Int64[Tensor, "candidates frames"], similar: float = 0.99) -> Int64[Tensor, " kept"]:
@@ -189,16 +194,17 @@ def _scores(
     switches: SwitchFunctions,
     fitted: LeftOutScores,
     place: int,
+    scale: Float[Tensor, " outputs"],
 ) -> CandidateScores:
     """Scores of one candidate; where a single group of trajectories leaves nothing out, it cannot be run."""
     frames, actions = torch.arange(len(labels)), task.actions.cpu()
-    charges = action_charges(fitted.macros[place], task, CHARGE_LIMIT)
-    alone = action_charges(fitted.alone[:, None], task, CHARGE_LIMIT)[:, 0]
+    charges = action_charges(fitted.macros[place], task, CHARGE_LIMIT, scale)
+    alone = action_charges(fitted.alone[:, None], task, CHARGE_LIMIT, scale)[:, 0]
     paid, wrong = torch.full_like(alone, torch.inf), 1.0
     if task.n_groups > 1:
         causal = causal_labels(switches.margins, switches.pairs, task.lengths, switches.first)
         paid = charges[frames, causal]
-        wrong = float((fitted.macros[place][frames, causal].argmax(1) != actions).float().mean())
+        wrong = task.loss.error(fitted.macros[place][frames, causal], actions)
     told = charges[frames, _context(charges, labels, task)]
     parts = [
         part_sums(each, task.lengths, task.groups) for each in (paid, charges[frames, labels], told, alone)

@@ -29,7 +29,7 @@ class CandidateScores:
     Attributes:
         recognised: share of the changes that switch functions recognise at their first frame and not before.
         causal: loss when switch functions choose the labels; infinite where nothing was left out for them.
-        causal_error: share of frames whose action is wrong, likewise.
+        causal_error: share of frames whose action is wrong, or of variance not explained, likewise.
         hindsight: loss under the segmentation's own labels.
         context: loss when every frame's label comes from the frames around it, the nearest left out.
         alone: loss of a single classifier.

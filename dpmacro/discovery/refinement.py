@@ -18,7 +18,7 @@ __all__ = ["merged", "recut", "resegmented", "simplified"]
 
 SWEEPS = 3  # in which switch functions cut
 REFINED = 4  # candidates anew in each
-COST_LIMIT = 3.0  # margin at which the actions' bounded deviances are cut off
+COST_LIMIT = 3.0  # at which the charges of actions are cut off, likewise later than for selection
 
 
 def recut(
@@ -52,7 +52,7 @@ def resegmented(candidate: Candidate, task: Task, weight: float = 1.0) -> Int64[
     functions count beside the actions. On their own training data switch functions recognise any few changes,
     so the scores are those of functions that never saw the trajectory.
     """
-    costs = action_charges(candidate.left_out, task, COST_LIMIT).double()
+    costs = action_charges(candidate.left_out, task, COST_LIMIT, candidate.scale).double()
     log_odds = change_log_odds(candidate.labels, task.lengths, task.macros)
     switches = candidate.switches
     extra = charges_of(switches.scores, switches.pairs, log_odds, task.lengths, weight)

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.discovery.alternation import Alternated, alternate, pooled
 from dpmacro.discovery.candidates import Candidate, Task, distinct, score_candidates
 from dpmacro.discovery.criteria import best_candidate
@@ -86,8 +85,8 @@ def _alternated(
     else:
         starts = initial_segmentations(data.levels, task.actions, task.lengths, *bounds)
     learner = StumpLearner(data, drawn=settings.drawn)
-    targets = class_targets(task.actions, task.n_actions)
-    boosting = Boosting(learner, targets, len(starts) * task.macros, shrinkage, generator)
+    targets, n_problems = task.loss.targets(task.actions), len(starts) * task.macros
+    boosting = Boosting(learner, targets, n_problems, shrinkage, generator, loss=task.loss)
     warmup = min(settings.warmup, settings.rounds // 2)
     given = boosting, task.actions, task.lengths, starts, task.macros, task.max_transitions
     return alternate(*given, settings.rounds, warmup, "discover", on_round)

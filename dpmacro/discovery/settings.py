@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 from dpmacro.switching.training import SwitchSettings
 
-__all__ = ["RECIPES", "SearchSettings", "paper_switches"]
+__all__ = ["ORDERS", "RECIPES", "SearchSettings", "paper_switches"]
 
 RECIPES = ("dpmacro", "paper")
+ORDERS = ("free", "chain")
 STARTS = ("all", "random")
 CRITERIA = ("left_out", "loss")
 

@@ -4,25 +4,34 @@ Every error is a ValueError of one line that starts with the argument's name.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
-from jaxtyping import Int64, Num
+from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
-from dpmacro.discovery.settings import RECIPES
+from dpmacro.boosting.losses.base import Loss
+from dpmacro.boosting.losses.classes import ExponentialLoss
+from dpmacro.boosting.losses.vectors import LOSSES, HuberLoss
+from dpmacro.discovery.candidates import Task
+from dpmacro.discovery.settings import ORDERS, RECIPES
+from dpmacro.features.levels import SortedLevels
 from dpmacro.utils.checks import (
     ArrayLike,
     as_count,
     as_flag,
+    as_lengths,
     as_number,
     as_tensor,
     as_whole_vector,
     shown,
 )
 
-__all__ = ["as_actions", "as_device", "as_features", "check_options", "check_sizes"]
+__all__ = ["Standardiser", "as_actions", "as_device", "as_features", "check_options", "task_of"]
 
+ROUNDING = 1e-9  # relative; what varies by less does not vary
 MOST_ACTIONS = 2**12  # every frame has a score for each, in every restart
 MOST_SEED = 2**63 - 1
 MOST_COUNT = 2**31 - 1
@@ -41,17 +50,59 @@ def check_options(options: Mapping[str, Any]) -> None:
     recipe = options["recipe"]
     if not isinstance(recipe, str) or recipe not in RECIPES:
         raise ValueError(f"recipe is {shown(recipe)}: choose one of {', '.join(RECIPES)}")
+    for name, known in (("loss", LOSSES), ("order", ORDERS)):
+        if not isinstance(options[name], str) or options[name] not in known:
+            raise ValueError(f"{name} is {shown(options[name])}: choose one of {', '.join(known)}")
+    if options["order"] == "chain" and options["max_transitions"] not in (None, options["macros"] - 1):
+        raise ValueError(
+            f"max_transitions is {shown(options['max_transitions'])} and order 'chain', which has one less "
+            f"than macros, {options['macros'] - 1}: leave max_transitions out"
+        )
     as_device(options["device"])
 
 
-def check_sizes(macros: int, early_stopping: bool, n_frames: int, n_trajectories: int) -> None:
-    """Raise ValueError where there is too little data for the options."""
+def task_of(
+    options: Mapping[str, Any],
+    data: SortedLevels,
+    actions: ArrayLike,
+    lengths: ArrayLike,
+    groups: Int64[Tensor, " trajectories"] | None,
+) -> Task:
+    """What DPBoost with these options is to explain. Raises ValueError where that cannot be.
+
+    Args:
+        options: of DPBoost, by name.
+        data: levels of every frame.
+        actions: classes, or standardised vectors.
+        lengths: frames of every trajectory.
+        groups: numbers 0.. of trajectories to leave out together; alone by default.
+    """
+    check_options(options)
+    device, n_frames, macros = as_device(options["device"]), data.n_frames, int(options["macros"])
+    if data.levels.device != device:
+        raise ValueError(f"data is on {data.levels.device} and device is {device}: use one")
+    actions, lengths = as_actions(actions, n_frames), as_lengths(lengths, n_frames, "features")
     if macros > n_frames:
         raise ValueError(f"macros is {macros} but there are only {n_frames} frames: ask for fewer")
-    if early_stopping and n_trajectories == 1:
+    if options["early_stopping"] and len(lengths) == 1:
         raise ValueError(
             "early_stopping leaves trajectories out and lengths has one: give more, or give False"
         )
+    if options["order"] == "chain" and int(lengths.min()) < macros:
+        raise ValueError(
+            f"macros is {macros} and order 'chain', but trajectory {int(lengths.argmin())} has "
+            f"{int(lengths.min())} frames: ask for fewer macros, or leave it out"
+        )
+    groups = torch.arange(len(lengths)) if groups is None else groups.cpu()
+    bound = macros - 1 if options["max_transitions"] is None else int(options["max_transitions"])
+    loss: Loss
+    if actions.ndim == 1:
+        loss = ExponentialLoss(int(actions.max()) + 1)
+    else:
+        loss = HuberLoss(actions.shape[1], LOSSES[options["loss"]])
+    bound = min(bound, int(lengths.max()) - 1)
+    seed, order = int(options["seed"]), options["order"]
+    return Task(actions.to(device), lengths, groups, loss, macros, bound, seed, order)
 
 
 def as_device(device: Any) -> torch.device:
@@ -81,10 +132,54 @@ def as_features(features: ArrayLike, device: torch.device) -> Num[Tensor, "colum
     return values.T.contiguous()
 
 
-def as_actions(actions: ArrayLike, n_frames: int) -> Int64[Tensor, " frames"]:
-    """The number of every frame's action, 0 or more."""
-    shape = "[frames], the number 0..M-1 of each frame's action"
-    found = as_whole_vector("actions", actions, shape, least=0, most=MOST_ACTIONS - 1)
+@dataclass(frozen=True)
+class Standardiser:
+    """Vectors to mean 0 and deviation 1 in every dimension, by those of the training."""
+
+    mean: Float[Tensor, " dims"]
+    deviation: Float[Tensor, " dims"]  # of a constant dimension 1
+
+    @classmethod
+    def fit(cls, vectors: Float[Tensor, "frames dims"]) -> "Standardiser":
+        """That of these vectors; a dimension is constant where it varies by rounding alone."""
+        mean = vectors.double().mean(0)
+        deviation = (vectors.double() - mean).square().mean(0).sqrt()
+        constant = deviation <= ROUNDING * mean.abs().clamp(min=ROUNDING)
+        return cls(mean, torch.where(constant, 1.0, deviation))
+
+    def apply(self, vectors: Float[Tensor, "frames dims"]) -> Float[Tensor, "frames dims"]:
+        """Standardised vectors, float32. Raises ValueError for another number of dimensions."""
+        if vectors.shape[1:] != self.mean.shape:
+            raise ValueError(
+                f"actions have {vectors.shape[1]} dimensions, those of fit had {len(self.mean)}: give as many"
+            )
+        return ((vectors.double() - self.mean) / self.deviation).float()
+
+
+def as_actions(actions: ArrayLike, n_frames: int) -> Num[Tensor, "frames *dims"]:
+    """The number of every frame's action, 0 or more, or a vector of finite floating point numbers each."""
+    dims = getattr(actions, "ndim", None)
+    if dims is None:
+        dims = np.ndim(actions)
+    if dims == 2:
+        found = as_tensor("actions", actions, 2, "[frames] of classes or [frames, dims] of vectors")
+        if not found.is_floating_point():
+            raise ValueError(
+                f"actions are whole numbers of shape {list(found.shape)}: give [frames], the number of each "
+                "frame's action, or floating point numbers for vectors"
+            )
+        wrong = (~found.isfinite()).nonzero()
+        if len(wrong):
+            frame, dim = wrong[0].tolist()
+            raise ValueError(f"actions[{frame}, {dim}] is {found[frame, dim].item()}: actions must be finite")
+        if found.shape[1] > 1 and bool(((found == 0) | (found == 1)).all() & (found.sum(1) == 1).all()):
+            raise ValueError(
+                f"actions are one-hot vectors of shape {list(found.shape)}: give [frames], the number of each "
+                "frame's action, like actions.argmax(1)"
+            )
+    else:
+        shape = "[frames], the number 0..M-1 of each frame's action (vectors are [frames, dims])"
+        found = as_whole_vector("actions", actions, shape, least=0, most=MOST_ACTIONS - 1)
     if len(found) != n_frames:
         raise ValueError(f"actions are {len(found)} but there are {n_frames} frames: give one for each")
     return found

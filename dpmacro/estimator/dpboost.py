@@ -13,7 +13,7 @@ from inspect import signature
 from typing import Any
 
 import torch
-from jaxtyping import Int64, UInt8
+from jaxtyping import Int64, Num, UInt8
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import WeakLearner
@@ -23,7 +23,14 @@ from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt, discover
 from dpmacro.discovery.settings import SearchSettings, paper_switches
-from dpmacro.estimator.arguments import as_actions, as_device, as_features, check_options, check_sizes
+from dpmacro.estimator.arguments import (
+    Standardiser,
+    as_actions,
+    as_device,
+    as_features,
+    check_options,
+    task_of,
+)
 from dpmacro.estimator.final import finished
 from dpmacro.estimator.prediction import levels_of, predicted, segmented
 from dpmacro.estimator.result import DPBoostResult
@@ -57,6 +64,8 @@ class DPBoost:
         early_stopping: whether left-out trajectories say how many rounds are kept.
         recipe: "dpmacro", or "paper" for the paper's own: random starts, least training loss, switch
             functions fitted afterwards as in its Section IV; `switch_weight` is 0 then, and shrinkage 1.
+        loss: of vectors, "huber" or "squared"; classes have the exponential loss.
+        order: of macro-actions, "free", or "chain" for 0, 1, ..., Q - 1 in every trajectory.
         seed: of every draw, 0 or more.
         device: where tensors live.
 
@@ -81,6 +90,8 @@ class DPBoost:
         switch_weight: float = 1.0,
         early_stopping: bool = False,
         recipe: str = "dpmacro",
+        loss: str = "huber",
+        order: str = "free",
         seed: int = 0,
         device: str | torch.device = "cpu",
     ) -> None:
@@ -94,6 +105,8 @@ class DPBoost:
         self.switch_weight = switch_weight
         self.early_stopping = early_stopping
         self.recipe = recipe
+        self.loss = loss
+        self.order = order
         self.seed = seed
         self.device = device
         check_options(self.get_params())
@@ -131,7 +144,7 @@ class DPBoost:
 
         Args:
             features: finite numbers of every frame, [frames, columns], trajectories concatenated.
-            actions: 0..M-1 of every frame.
+            actions: of every frame 0..M-1, or a vector, [frames, dims] in floating point.
             lengths: frames of every trajectory, 1 or more each.
             on_round: called after every boosting round.
 
@@ -145,10 +158,11 @@ class DPBoost:
             raise ValueError(f"on_round is {shown(on_round)}: give a function of a round")
         values = as_features(features, as_device(self.device))
         actions = as_actions(actions, values.shape[1])  # before features are sorted, which takes time
+        self._standardiser = Standardiser.fit(actions) if actions.ndim == 2 else None
         lengths = as_lengths(lengths, values.shape[1], "features")
         quantiser = Quantiser.fit(values)
         data = SortedLevels.build(quantiser.levels(values))
-        result = self.fit_levels(data, actions, lengths, on_round=on_round)
+        result = self.fit_levels(data, self._standardised(actions), lengths, on_round=on_round)
         self.result_ = replace(result, quantiser=quantiser)
         self.labels_, self.confidence_ = self.result_.labels, self.result_.confidence
         return self
@@ -170,15 +184,18 @@ class DPBoost:
         On the data of `fit` they are its labels. Arguments and errors as for `fit`.
         """
         levels = self._levels(features)
-        actions = as_actions(actions, levels.shape[1])
+        actions = self._standardised(as_actions(actions, levels.shape[1]))
         return segmented(self._fitted, levels, actions, as_lengths(lengths, levels.shape[1], "features"))
 
     def score(self, features: ArrayLike, actions: ArrayLike, lengths: ArrayLike) -> float:
-        """Share of the frames, 0 to 1, whose action is right under the labels of `predict`."""
+        """Share of the frames, 0 to 1, whose action is right under the labels of `predict`.
+
+        Of vectors the share of their variance that is explained.
+        """
         levels = self._levels(features)
-        actions = as_actions(actions, levels.shape[1]).cpu()
-        chosen = predicted(self._fitted, levels, as_lengths(lengths, levels.shape[1], "features"))[1]
-        return float((chosen == actions).double().mean())
+        actions = self._standardised(as_actions(actions, levels.shape[1])).cpu()
+        scores = predicted(self._fitted, levels, as_lengths(lengths, levels.shape[1], "features"))[1]
+        return 1 - self._fitted.action_loss.error(scores, actions)
 
     def discover_levels(
         self,
@@ -194,7 +211,7 @@ class DPBoost:
 
         Args:
             data: levels of every frame.
-            actions, lengths: as for `fit`.
+            actions, lengths: as for `fit`; vectors are standardised already.
             groups: numbers 0.. of trajectories to leave out together; alone by default.
             known: labels 0..Q-1 that take the place of the search.
             on_round: called after every boosting round.
@@ -224,7 +241,7 @@ class DPBoost:
 
         Args:
             data: levels of every frame.
-            actions, lengths: as for `fit`.
+            actions, lengths: as for `fit`; vectors are standardised already.
             groups: numbers 0.. of trajectories to leave out together; alone by default.
             learner: of the strong classifiers; exact stumps by default.
             switch_learner: of the switch functions, copies of the frames after them if any; by default
@@ -273,6 +290,15 @@ class DPBoost:
             raise ValueError("this DPBoost has found nothing yet: call fit first")
         return self.result_
 
+    def _standardised(self, actions: Num[Tensor, "frames *dims"]) -> Num[Tensor, "frames *dims"]:
+        """Vectors by the deviations of `fit`; classes as they are. Raises ValueError for the other kind."""
+        if (actions.ndim == 2) != (self._standardiser is not None):
+            kind = "vectors" if actions.ndim == 1 else "classes"
+            raise ValueError(
+                f"actions have shape {list(actions.shape)}, those of fit were {kind}: give the same"
+            )
+        return actions if self._standardiser is None else self._standardiser.apply(actions)
+
     def _levels(self, features: ArrayLike) -> UInt8[Tensor, "columns frames"]:
         """The levels of frames, by the cuts of `fit`."""
         quantiser = self._fitted.quantiser
@@ -286,15 +312,4 @@ class DPBoost:
         lengths: ArrayLike,
         groups: Int64[Tensor, " trajectories"] | None,
     ) -> Task:
-        check_options(self.get_params())
-        device, n_frames, macros = as_device(self.device), data.n_frames, int(self.macros)
-        if data.levels.device != device:
-            raise ValueError(f"data is on {data.levels.device} and device is {device}: use one")
-        actions, lengths = as_actions(actions, n_frames), as_lengths(lengths, n_frames, "features")
-        check_sizes(macros, bool(self.early_stopping), n_frames, len(lengths))
-        groups = torch.arange(len(lengths)) if groups is None else groups.cpu()
-        bound = macros - 1 if self.max_transitions is None else int(self.max_transitions)
-        bound = min(bound, int(lengths.max()) - 1)
-        return Task(
-            actions.to(device), lengths, groups, int(actions.max()) + 1, macros, bound, int(self.seed)
-        )
+        return task_of(self.get_params(), data, actions, lengths, groups)

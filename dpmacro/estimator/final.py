@@ -40,6 +40,8 @@ def finished(
         bound, runnable = discovery.kept.transitions(task.lengths), discovery.kept.scores.runnable
     if not runnable or fit.weight == 0:  # switch functions then have no say in where changes lie
         fit = replace(fit, weight=0.0, switches=replace(fit.switches, aligned=False))
+    elif discovery is not None:  # switch functions charge nats, and so the training loss is to be in nats
+        fit = replace(fit, weight=fit.weight * task.loss.per_nat(discovery.kept.scale))
     settled = settle(fit, replace(task, max_transitions=bound), labels, on_round)
     sure, final = torch.ones(len(labels)), None
     n_macros = int(settled.labels.max()) + 1
@@ -52,6 +54,7 @@ def finished(
         settled.labels,
         sure,
         settled.loss,
+        task.loss,
         settled.classifiers,
         settled.switches,
         settled.terms,

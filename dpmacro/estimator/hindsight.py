@@ -8,11 +8,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames, StrongClassifier
-from dpmacro.boosting.losses.classes import MARGIN_LIMIT, class_targets, exponentials_of
+from dpmacro.boosting.losses.base import Loss
+from dpmacro.boosting.losses.classes import MARGIN_LIMIT
 from dpmacro.switching.costs import SwitchCosts, charges_of
 from dpmacro.switching.functions import cued
 
@@ -29,7 +30,7 @@ class SwitchTerms:
         pairs: (from, to) of every switch function.
         cues: actions that each may follow; none stands for any.
         log_odds: of every change in the segmentation that they were fitted to.
-        weight: how much they count beside the actions, above 0.
+        weight: how much they count beside the actions' loss, above 0.
     """
 
     pairs: tuple[tuple[int, int], ...]
@@ -40,21 +41,21 @@ class SwitchTerms:
 
 @torch.inference_mode()
 def action_costs(
-    chunks: Iterable[Frames], classifiers: StrongClassifier, actions: Int64[Tensor, " frames"]
+    chunks: Iterable[Frames], classifiers: StrongClassifier, actions: Num[Tensor, "frames *dims"], loss: Loss
 ) -> Float[Tensor, "frames macros"]:
-    """c_n(q) = sum_m exp(-y_n^m f_q^m(x_n)).
+    """c_n(q), the loss of every frame's action under every macro-action.
 
     Args:
         chunks: the frames, `CHUNK` at a time.
-        classifiers: problems are macro-actions, classes are actions.
-        actions: of every frame; those that the classifiers do not know cost nothing.
+        classifiers: problems are macro-actions.
+        actions: of every frame; classes that the classifiers do not know cost nothing.
+        loss: that of the classifiers.
     """
     costs, first = [], 0
     for frames in chunks:
         scores = classifiers.scores(frames)
         own = actions[first : first + len(scores)].to(scores.device)
-        targets = class_targets(own, max(int(actions.max()) + 1, scores.shape[2]))[..., : scores.shape[2]]
-        costs.append(exponentials_of(scores, targets).sum(2))
+        costs.append(loss.terms(scores, loss.targets(own)).sum(2))
         first += len(scores)
     return torch.cat(costs).double()
 
@@ -64,7 +65,7 @@ def switch_terms_costs(
     chunks: Iterable[Frames],
     switcher: StrongClassifier,
     terms: SwitchTerms,
-    actions: Int64[Tensor, " frames"],
+    actions: Num[Tensor, "frames *dims"],
     lengths: Int64[Tensor, " trajectories"],
 ) -> SwitchCosts:
     """What switch functions charge for staying and for changing; where one may not fire, its score is lowest.

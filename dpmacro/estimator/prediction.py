@@ -1,7 +1,7 @@
 """What a fitted DPBoost says of sequences that it may never have seen."""
 
 import torch
-from jaxtyping import Int64, Num, UInt8
+from jaxtyping import Float, Int64, Num, UInt8
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames
@@ -37,8 +37,8 @@ def predicted(
     result: DPBoostResult,
     levels: UInt8[Tensor, "columns frames"],
     lengths: Int64[Tensor, " trajectories"],
-) -> tuple[Int64[Tensor, " frames"], Int64[Tensor, " frames"]]:
-    """Macro-labels and actions of a running policy, frame by frame, never looking ahead; on the CPU."""
+) -> tuple[Int64[Tensor, " frames"], Float[Tensor, "frames outputs"]]:
+    """Macro-labels of a running policy, frame by frame, never looking ahead, and its scores; on the CPU."""
     switches = result.switches
     scores = torch.cat([result.classifiers.scores(part).cpu() for part in _chunks(levels)])
     first = torch.full((len(lengths),), switches.starts[0])
@@ -55,11 +55,11 @@ def predicted(
 def segmented(
     result: DPBoostResult,
     levels: UInt8[Tensor, "columns frames"],
-    actions: Int64[Tensor, " frames"],
+    actions: Num[Tensor, "frames *dims"],
     lengths: Int64[Tensor, " trajectories"],
 ) -> Int64[Tensor, " frames"]:
     """The macro-labels of least cost under the bound, in hindsight; on the CPU."""
-    costs = action_costs(_chunks(levels), result.classifiers, actions.to(levels.device))
+    costs = action_costs(_chunks(levels), result.classifiers, actions.to(levels.device), result.action_loss)
     changing = None
     if result.terms is not None and result.switches.classifier is not None:
         extra = switch_terms_costs(

@@ -6,6 +6,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import StrongClassifier
+from dpmacro.boosting.losses.base import Loss
 from dpmacro.discovery.result import Discovery
 from dpmacro.estimator.hindsight import SwitchTerms
 from dpmacro.features.quantising import Quantiser
@@ -22,7 +23,8 @@ class DPBoostResult:
         labels: macro-action of every frame, 0..Q-1, each used.
         confidence: 0..1, how sure classifiers that never saw the frame are of its label.
         loss: objective per frame after every round of the final fit.
-        classifiers: problems are macro-actions, classes are actions.
+        action_loss: what the classifiers minimise.
+        classifiers: problems are macro-actions, outputs those of the loss.
         switches: between the macro-actions.
         terms: how the switch functions joined the final segmentation; None where they did not.
         max_transitions: S of the final segmentation.
@@ -36,6 +38,7 @@ class DPBoostResult:
     labels: Int64[Tensor, " frames"]
     confidence: Float[Tensor, " frames"]
     loss: Float[Tensor, " rounds"]
+    action_loss: Loss
     classifiers: StrongClassifier
     switches: SwitchFunctions
     terms: SwitchTerms | None

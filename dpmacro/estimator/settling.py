@@ -15,7 +15,6 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames, StrongClassifier, WeakLearner
 from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.boosting.stopping import validated_rounds
 from dpmacro.discovery.alternation import alternate
 from dpmacro.discovery.candidates import Task
@@ -89,7 +88,7 @@ def settle(
 
     def fitted(settings: SwitchSettings, own: Int64[Tensor, " frames"]) -> SwitchFunctions:
         generator = torch.Generator().manual_seed(task.seed)
-        actions = task.actions if settings.cues else None
+        actions = task.actions if settings.cues and task.actions.ndim == 1 else None
         given = fit.switch_learner, own, task.lengths, generator, settings
         return fit_switches(*given, groups=task.groups, actions=actions, on_round=on_round)
 
@@ -99,7 +98,7 @@ def settle(
         labels = realigned(lambda own: fitted(unfocused, own), labels, task.lengths)
     rounds = fit.rounds
     if fit.early_stopping:
-        held = labels, task.actions, task.lengths, rounds, fit.shrinkage
+        held = labels, task.actions, task.lengths, rounds, fit.shrinkage, task.loss
         generator = torch.Generator().manual_seed(task.seed)
         rounds = validated_rounds(fit.learner, *held, generator, task.groups, on_round)
     passes = 0
@@ -155,12 +154,12 @@ def _classifiers(
 ) -> tuple[Int64[Tensor, " frames"], Float[Tensor, " rounds"], StrongClassifier]:
     """Strong classifiers by the alternation from `labels`, and the labels that they want in the end."""
     generator = torch.Generator().manual_seed(task.seed)
-    targets = class_targets(task.actions, task.n_actions)
-    boosting = Boosting(fit.learner, targets, task.macros, fit.shrinkage, generator)
+    targets = task.loss.targets(task.actions)
+    boosting = Boosting(fit.learner, targets, task.macros, fit.shrinkage, generator, loss=task.loss)
     given = boosting, task.actions, task.lengths, labels[None], task.macros, task.max_transitions
     ended = alternate(*given, rounds, int(fit.held * rounds), "fit", on_round, costs)
     classifiers = boosting.strong()
-    own = action_costs(_chunks(fit.learner, len(labels)), classifiers, task.actions)
+    own = action_costs(_chunks(fit.learner, len(labels)), classifiers, task.actions, task.loss)
     changing = None
     if costs is not None:
         own, changing = own + costs.staying.to(own.device), costs.changing.to(own.device)

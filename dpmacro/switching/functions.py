@@ -105,17 +105,17 @@ def causal_labels(
 
 
 def predicted_labels(
-    scores: Float[Tensor, "frames macros actions"],
+    scores: Float[Tensor, "frames macros outputs"],
     margins: Float[Tensor, "frames switches"],
     pairs: Sequence[tuple[int, int]],
     cues: Sequence[Sequence[int]],
     lengths: Int64[Tensor, " trajectories"],
     first: Int64[Tensor, " trajectories"],
-) -> tuple[Int64[Tensor, " frames"], Int64[Tensor, " frames"]]:
-    """Macro-labels and actions of a policy that sees the frames of trajectories and takes its own actions.
+) -> tuple[Int64[Tensor, " frames"], Float[Tensor, "frames outputs"]]:
+    """Macro-labels, and scores under them, of a policy that sees frames and takes its own actions.
 
     Args:
-        scores: f_q^m(x) of every frame; the action of the highest is taken.
+        scores: f_q(x) of every frame; where cues are given, the class of the highest is the action taken.
         margins: as for `causal_labels`, without regard to cues.
         cues: actions that each switch function may follow, of those that the policy took; none for any.
         pairs, lengths, first: as for `causal_labels`.
@@ -127,7 +127,7 @@ def predicted_labels(
     sources, targets = torch.tensor(list(pairs), dtype=torch.int64).reshape(-1, 2).unbind(1)
     starts = lengths.cumsum(0) - lengths
     macro, action = first.clone(), torch.full_like(first, n_actions)
-    labels, actions = (torch.empty(len(scores), dtype=torch.int64) for _ in range(2))
+    labels, chosen = torch.empty(len(scores), dtype=torch.int64), torch.empty_like(scores[:, 0])
     for time in range(int(lengths.max())):
         rows = (lengths > time).nonzero()[:, 0]
         frames = starts[rows] + time
@@ -137,6 +137,6 @@ def predicted_labels(
             )
             highest = wanted.max(1)
             macro[rows] = torch.where(highest.values > 0, targets[highest.indices], macro[rows])
-        action[rows] = scores[frames, macro[rows]].argmax(1)
-        labels[frames], actions[frames] = macro[rows], action[rows]
-    return labels, actions
+        labels[frames], chosen[frames] = macro[rows], scores[frames, macro[rows]]
+        action[rows] = chosen[frames].argmax(1)
+    return labels, chosen

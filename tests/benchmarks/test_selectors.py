@@ -17,6 +17,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))  # as the script itself finds its n
 from bench_selectors import SelectorOptions, criteria, main  # noqa: E402
 from selector_scores import CRITERIA, choices, fit_table, picture, rule_ranks, table  # noqa: E402
 
+from dpmacro.boosting.losses.classes import ExponentialLoss  # noqa: E402
 from dpmacro.discovery.alternation import Alternated  # noqa: E402
 from dpmacro.discovery.candidates import Candidate, Task  # noqa: E402
 from dpmacro.discovery.criteria import CandidateScores, best_candidate  # noqa: E402
@@ -116,9 +117,11 @@ def test_criteria_of_classifiers_that_are_right():
         (), (0, 1), nothing, (), nothing, torch.zeros(6, 0), torch.zeros(6, 0), torch.tensor([0, 1]), None
     )
     moved = torch.tensor([0, 0, 0, 0, 1, 1])
-    found = [Candidate(labels, said, left_out, switches) for labels in (truth, moved, 1 - truth)]
+    found = [
+        Candidate(labels, said, left_out, torch.ones(2), switches) for labels in (truth, moved, 1 - truth)
+    ]
     ends = Alternated(torch.stack([truth, truth, moved]), torch.tensor([[9.0, 9, 9], [0.3, 0.2, 0.4]]))
-    task = Task(actions, lengths, torch.arange(2), 2, 2, 1, 0)
+    task = Task(actions, lengths, torch.arange(2), ExponentialLoss(2), 2, 1, 0)
     true, other, unknown = (criteria(one, Discovery(task, ends, tuple(found), 0)) for one in found)
     assert [one["unstable"] for one in (true, other, unknown)] == pytest.approx([0, 1 / 6, 1])
     assert true["training_loss"] == pytest.approx(0.2)  # the better of two outcomes alike
@@ -129,7 +132,7 @@ def test_criteria_of_classifiers_that_are_right():
     bounded = 2 * np.log1p(np.exp(-2))  # margins cut off at 1
     assert [one["refitted_loss"] for one in (true, other, unknown)] == pytest.approx([bounded] * 3, rel=1e-5)
     assert true["causal_error"] == 0.25 and true["causal_loss"] == 0.25
-    whole = Task(actions, torch.tensor([6]), torch.zeros(1, dtype=torch.int64), 2, 2, 1, 0)
+    whole = Task(actions, torch.tensor([6]), torch.zeros(1, dtype=torch.int64), ExponentialLoss(2), 2, 1, 0)
     assert np.isnan(criteria(found[0], Discovery(whole, ends, tuple(found), 0))["causal_error"])
 
 

@@ -7,6 +7,7 @@ from dpmacro.boosting import crossfit
 from dpmacro.boosting.crossfit import CLASSIFIER_FOLDS, left_out_scores
 from dpmacro.boosting.folds import frame_folds
 from dpmacro.boosting.loop import Round
+from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.features.levels import SortedLevels
 
 LENGTHS = torch.tensor([20, 31, 25, 24, 30, 20])
@@ -30,7 +31,7 @@ def noise(seed=0, columns=9):
 
 
 def scores_of(data, actions, candidates, lengths=LENGTHS, **options):
-    return left_out_scores(data, actions, lengths, candidates, 2, 3, SEED, **options)
+    return left_out_scores(data, actions, lengths, candidates, 2, ExponentialLoss(3), SEED, **options)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from dpmacro.boosting.learners.stumps import StumpLearner
+from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.boosting.stopping import BestRound, validated_rounds
 from dpmacro.features.levels import SortedLevels
 
@@ -36,7 +37,17 @@ def validate(noise, rounds=60, on_round=lambda _: None):
     learner, actions, lengths = data(noise)
     labels = torch.zeros_like(actions)
     generator = torch.Generator().manual_seed(0)
-    return validated_rounds(learner, labels, actions, lengths, rounds, 0.5, generator, on_round=on_round)
+    return validated_rounds(
+        learner,
+        labels,
+        actions,
+        lengths,
+        rounds,
+        0.5,
+        ExponentialLoss(int(actions.max()) + 1),
+        generator,
+        on_round=on_round,
+    )
 
 
 def test_noise_stops_early_and_reports_every_round():
@@ -56,5 +67,12 @@ def test_a_single_trajectory_cannot_be_left_out():
     learner, actions, _ = data(0.1)
     with pytest.raises(ValueError, match="1 trajectory: early stopping leaves trajectories out"):
         validated_rounds(
-            learner, torch.zeros_like(actions), actions, torch.tensor([720]), 5, 0.5, torch.Generator()
+            learner,
+            torch.zeros_like(actions),
+            actions,
+            torch.tensor([720]),
+            5,
+            0.5,
+            ExponentialLoss(3),
+            torch.Generator(),
         )

@@ -58,7 +58,7 @@ def test_the_true_segmentation_is_run_best(scored):
 def test_losses_are_a_mean_over_frames_by_trajectory(scored):
     task, truth, found = scored
     right = by_labels(found, truth)
-    charges = action_charges(right.left_out, task, 1.0).gather(1, truth[:, None])[:, 0]
+    charges = action_charges(right.left_out, task, 1.0, right.scale).gather(1, truth[:, None])[:, 0]
     torch.testing.assert_close(right.scores.hindsight, charges.view(12, 80).sum(1) / 960)
 
 

@@ -4,6 +4,7 @@ import pytest
 import torch
 from visible import functions_of
 
+from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.discovery.alternation import Alternated
 from dpmacro.discovery.candidates import Candidate, Task
 from dpmacro.discovery.criteria import standard_error
@@ -29,12 +30,12 @@ def discovery(macros, bound, gain, spread=0.0, recognised=1.0, context=0.0, doub
         ]
     )
     causal = gain if isinstance(gain, torch.Tensor) else losses(ALONE - gain, spread)
-    task = Task(torch.zeros(10).long(), LENGTHS, torch.arange(2), 2, macros, bound, seed=0)
+    task = Task(torch.zeros(10).long(), LENGTHS, torch.arange(2), ExponentialLoss(2), macros, bound, seed=0)
     none = functions_of(torch.zeros(10, 0), ())
     worse = scored(9.0, 0.0, ALONE)
     best = scored(causal, recognised, ALONE, context=losses(ALONE - context, doubt))
     candidates = tuple(
-        Candidate(labels * used, scores, torch.zeros(10, macros, 2), none)
+        Candidate(labels * used, scores, torch.zeros(10, macros, 2), torch.ones(2), none)
         for used, scores in ((0, worse), (1, best))
     )
     return Discovery(task, Alternated(labels[None], torch.zeros(1, 1)), candidates, 1)

@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from visible import functions_of, task_of, visible_change
 
+from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.discovery.candidates import Candidate, Task, action_charges, score_candidates
 from dpmacro.discovery.criteria import CandidateScores, best_candidate
 from dpmacro.discovery.refinement import COST_LIMIT, merged, recut, resegmented, simplified
@@ -79,8 +80,8 @@ def made_up(labels, lengths, macros, switch_scores=None, left_out=None, bound=99
     if left_out is None:
         left_out = torch.randn(len(labels), macros, 2, generator=generator)
     actions = torch.randint(0, 2, (len(labels),), generator=generator)
-    task = Task(actions, lengths, torch.arange(len(lengths)), 2, macros, bound, seed=0)
-    return Candidate(labels, NONE, left_out, functions_of(switch_scores, pairs)), task
+    task = Task(actions, lengths, torch.arange(len(lengths)), ExponentialLoss(2), macros, bound, seed=0)
+    return Candidate(labels, NONE, left_out, torch.ones(2), functions_of(switch_scores, pairs)), task
 
 
 def misplaced():
@@ -95,7 +96,7 @@ def misplaced():
     noise = 0.2 * torch.randn(200, 2, 1, generator=torch.Generator().manual_seed(1))
     own = torch.nn.functional.one_hot(truth, 2)[:, :, None] * 2.0 - 1
     left_out = sides[:, None] * (own * telling[:, None, None] + noise)
-    return Candidate(labels, NONE, left_out, candidate.switches), task, truth
+    return Candidate(labels, NONE, left_out, torch.ones(2), candidate.switches), task, truth
 
 
 def deviances_by_hand(candidate, task):
@@ -109,7 +110,9 @@ def deviances_by_hand(candidate, task):
 def test_a_visible_change_that_actions_place_badly_is_placed_by_the_switch_functions():
     candidate, task, truth = misplaced()
     by_hand = deviances_by_hand(candidate, task)
-    torch.testing.assert_close(action_charges(candidate.left_out, task, COST_LIMIT).double(), by_hand)
+    torch.testing.assert_close(
+        action_charges(candidate.left_out, task, COST_LIMIT, candidate.scale).double(), by_hand
+    )
     alone = resegmented(candidate, task, weight=0.0)
     assert torch.equal(alone, segment(by_hand, task.lengths, 1).labels)
     assert 0 < int((alone != truth).sum()) <= 5 * 8, "the actions say roughly where"
@@ -143,7 +146,9 @@ def test_a_few_misplaced_changes_are_corrected_by_what_was_learned_from_the_othe
     cuts[misplaced] += 5
     labels = (frames >= cuts).long()
     actions = (torch.where(truth == 0, levels[1], levels[2]) > 60).long()
-    task = Task(actions.flatten(), torch.full((n,), length), torch.arange(n), 2, 2, 1, seed=0)
+    task = Task(
+        actions.flatten(), torch.full((n,), length), torch.arange(n), ExponentialLoss(2), 2, 1, seed=0
+    )
     (candidate,) = score_candidates(SortedLevels.build(levels.flatten(1)), task, labels.flatten()[None])
     alone, found = (resegmented(candidate, task, weight).view(n, length) for weight in (0.0, 1.0))
     assert int((alone != truth).sum()) > 40

@@ -5,7 +5,7 @@ import torch
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpClassifier
-from dpmacro.boosting.losses.classes import MARGIN_LIMIT
+from dpmacro.boosting.losses.classes import MARGIN_LIMIT, ExponentialLoss
 from dpmacro.estimator.hindsight import SwitchTerms, action_costs, switch_terms_costs
 from dpmacro.switching.costs import charges_of
 from dpmacro.switching.functions import cued
@@ -38,7 +38,7 @@ def test_costs_of_actions_are_exponential_losses(levels):
     scores = classifiers.scores(Frames(levels)).double()
     right = torch.nn.functional.one_hot(actions, 2).bool()[:, None]
     wanted = torch.where(right, -scores, scores).exp().sum(2)
-    found = action_costs(chunks(levels), classifiers, actions)
+    found = action_costs(chunks(levels), classifiers, actions, ExponentialLoss(2))
     assert found.dtype == torch.float64
     torch.testing.assert_close(found, wanted, rtol=1e-5, atol=1e-6)
 
@@ -46,7 +46,7 @@ def test_costs_of_actions_are_exponential_losses(levels):
 def test_an_action_that_the_classifiers_do_not_know_adds_nothing(levels):
     """The frame pays for the known actions that were not taken, nothing for the one that was."""
     classifiers, actions = stumps(2, 2), torch.arange(FRAMES) % 3
-    found = action_costs(chunks(levels), classifiers, actions)
+    found = action_costs(chunks(levels), classifiers, actions, ExponentialLoss(2))
     unknown = actions == 2
     wanted = classifiers.scores(Frames(levels)).double().exp().sum(2)[unknown]
     torch.testing.assert_close(found[unknown], wanted, rtol=1e-5, atol=1e-6)

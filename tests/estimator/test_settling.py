@@ -6,7 +6,7 @@ from visible import task_of, visible_change
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.discovery import settling
+from dpmacro.estimator import settling
 from dpmacro.estimator.hindsight import action_costs, switch_terms_costs
 from dpmacro.estimator.settling import FinalFit, settle
 from dpmacro.features.levels import SortedLevels
@@ -24,7 +24,7 @@ def fit_of(data, weight=1.0, rounds=20, aligned=True, early_stopping=False):
 def wanted(data, task, settled):
     """The segmentation that the fitted functions want, all frames at once."""
     frames = [Frames(data.levels)]
-    costs, changing = action_costs(frames, settled.classifiers, task.actions), None
+    costs, changing = action_costs(frames, settled.classifiers, task.actions, task.loss), None
     if settled.terms is not None:
         switcher = settled.switches.classifier
         extra = switch_terms_costs(frames, switcher, settled.terms, task.actions, task.lengths)

@@ -3,6 +3,7 @@
 import torch
 
 from dpmacro.boosting.learners.stumps import StumpLearner
+from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.discovery.candidates import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.switching.functions import SwitchFunctions
@@ -23,7 +24,7 @@ def visible_change(n=12, length=80):
 
 def task_of(actions, lengths, macros=2, bound=1, groups=None):
     groups = torch.arange(len(lengths)) if groups is None else groups
-    return Task(actions, lengths, groups, int(actions.max()) + 1, macros, bound, seed=0)
+    return Task(actions, lengths, groups, ExponentialLoss(int(actions.max()) + 1), macros, bound, seed=0)
 
 
 def trajectories(n=12, visible=True, seed=0):

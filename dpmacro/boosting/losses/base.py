@@ -84,6 +84,10 @@ class Loss(Protocol):
         """The deviation of left-out residuals of every output, which `charge` measures in."""
         ...
 
+    def per_nat(self, scale: Float[Tensor, " outputs"]) -> float:
+        """How much of the training loss is one nat of what `charge` charges."""
+        ...
+
     def error(self, scores: Float[Tensor, "frames outputs"], actions: Tensor) -> float:
         """Share, 0 to 1, of the actions that are wrong, or of their variance that is not explained."""
         ...

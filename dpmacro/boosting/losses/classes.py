@@ -99,6 +99,10 @@ class ExponentialLoss:
         """Ones."""
         return scores.new_ones(self.outputs)
 
+    def per_nat(self, scale: Float[Tensor, " classes"]) -> float:
+        """1: the exponential loss and the deviance are alike near a margin of 0."""
+        return 1.0
+
     def error(self, scores: Float[Tensor, "frames classes"], actions: Int64[Tensor, " frames"]) -> float:
         """Share of the frames whose class of highest score is wrong."""
         return float((scores.argmax(1) != actions).float().mean())

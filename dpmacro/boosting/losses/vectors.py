@@ -114,6 +114,10 @@ class HuberLoss:
         """Root mean square of the residuals, 0.001 at least."""
         return (actions - scores).square().mean(0).sqrt().clamp(min=1e-3)
 
+    def per_nat(self, scale: Float[Tensor, " dims"]) -> float:
+        """Mean square of the deviations: the loss does not divide by it."""
+        return float(scale.square().mean())
+
     def error(self, scores: Float[Tensor, "frames dims"], actions: Float[Tensor, "frames dims"]) -> float:
         """Mean square of the residuals over that of the actions, 1 at most."""
         unexplained = (actions - scores).square().mean()
