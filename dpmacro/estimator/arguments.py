@@ -174,8 +174,8 @@ def as_actions(actions: ArrayLike, n_frames: int) -> Num[Tensor, "frames *dims"]
             raise ValueError(f"actions[{frame}, {dim}] is {found[frame, dim].item()}: actions must be finite")
         if found.shape[1] > 1 and bool(((found == 0) | (found == 1)).all() & (found.sum(1) == 1).all()):
             raise ValueError(
-                f"actions are one-hot vectors of shape {list(found.shape)}: give [frames], the number of each "
-                "frame's action, like actions.argmax(1)"
+                f"actions are one-hot vectors of shape {list(found.shape)}: give [frames], the number of "
+                "each frame's action, like actions.argmax(1)"
             )
     else:
         shape = "[frames], the number 0..M-1 of each frame's action (vectors are [frames, dims])"
