@@ -41,6 +41,7 @@ SWITCH_ROUNDS = 30
 SWITCH_COLUMNS = 512
 SCREENING_COLUMNS = 128
 CHARGE_LIMIT = 1.0  # at which charges are cut off: a margin of classes, two deviations of vectors
+TOLERANCE = 5  # frames, of vectors
 REACH = 5  # frames on either side of one that do not vote on its label
 
 
@@ -56,6 +57,15 @@ class Task:
     max_transitions: int
     seed: int
     order: str = "free"  # of macro-actions: "free", or "chain" for 0, 1, ..., S in every trajectory
+
+    @property
+    def tolerance(self) -> int:
+        """Frames by which a change may be recognised early or late.
+
+        Of classes none: the next action may lead to where the change is not seen any more. Vectors change
+        little from frame to frame, and so does what is seen.
+        """
+        return TOLERANCE if self.actions.ndim == 2 else 0
 
     @property
     def n_groups(self) -> int:
@@ -184,7 +194,7 @@ def _switches(
     """
     generator = torch.Generator().manual_seed(task.seed)
     learner = StumpLearner(data, drawn=columns)
-    settings = SwitchSettings(rounds=SWITCH_ROUNDS)
+    settings = SwitchSettings(rounds=SWITCH_ROUNDS, tolerance=task.tolerance)
     return fit_switches(learner, labels, task.lengths, generator, settings, groups=task.groups)
 
 

@@ -89,6 +89,7 @@ def settle(
     def fitted(settings: SwitchSettings, own: Int64[Tensor, " frames"]) -> SwitchFunctions:
         generator = torch.Generator().manual_seed(task.seed)
         actions = task.actions if settings.cues and task.actions.ndim == 1 else None
+        settings = replace(settings, tolerance=task.tolerance)
         given = fit.switch_learner, own, task.lengths, generator, settings
         return fit_switches(*given, groups=task.groups, actions=actions, on_round=on_round)
 
@@ -139,7 +140,7 @@ def _reported(switches: SwitchFunctions, labels: Int64[Tensor, " frames"], task:
     shares = []
     for place, pair in enumerate(switches.pairs):
         own = [one for one in segments if (one.macro, one.following) == pair]
-        known = recognised_share(own, switches.margins[:, place]) if own else 0.0
+        known = recognised_share(own, switches.margins[:, place], task.tolerance) if own else 0.0
         shares.append(known)
     return replace(switches, recognised=torch.tensor(shares))
 

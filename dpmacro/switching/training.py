@@ -45,6 +45,8 @@ class SwitchSettings:
         calibrated: whether left-out scores choose the thresholds; else they are 0.
         cues: whether a function may fire only after the actions that come before its changes.
         aligned: whether changes are moved to where left-out functions fire before the final fit.
+        tolerance: frames by which a function may fire early or late and still recognises its change, 0 or
+            more; as many before a change are no examples.
     """
 
     rounds: int = 400
@@ -57,12 +59,15 @@ class SwitchSettings:
     calibrated: bool = True
     cues: bool = True
     aligned: bool = True
+    tolerance: int = 0
 
     def __post_init__(self) -> None:
         if self.window < 1 or self.rounds < 1:
             raise ValueError(f"window is {self.window} and rounds {self.rounds}: both must be 1 or more")
         if not 0 < self.shrinkage <= 1:
             raise ValueError(f"shrinkage is {self.shrinkage}: give a number above 0 and up to 1")
+        if self.tolerance < 0:
+            raise ValueError(f"tolerance is {self.tolerance}: give 0 or more")
         if self.folds < 2:
             raise ValueError(f"folds is {self.folds}: give 2 or more, so that something can be left out")
 
@@ -120,9 +125,10 @@ def fit_switches(
     fold_of = folds_of(len(lengths), settings.folds, generator, groups)
     n_folds = int(fold_of.max()) + 1 if fold_of.any() else 0
     folds = [_fold(fold_of == fold, pairs, segments, lengths, actions) for fold in [*range(n_folds), -1]]
+    how = settings.window, settings.whole_past, settings.tolerance
     weights, targets = zip(
         *(
-            examples(pair, segments, fold.left_out, shown, settings.window, settings.whole_past, lengths)
+            examples(pair, segments, fold.left_out, shown, *how, lengths)
             for place, pair in enumerate(pairs)
             for fold in folds
             for shown in [fold.asked[:, place] if settings.focused else torch.ones(n_frames).bool()]
@@ -149,7 +155,9 @@ def fit_switches(
         starts,
         _thresholds(own, scores, folds[-1].left_out, settings),
         folds[-1].cues if actions is not None else (),
-        torch.tensor([recognised_share(*parts) for parts in zip(own, margins.unbind(1), strict=True)]),
+        torch.tensor(
+            [recognised_share(*one, settings.tolerance) for one in zip(own, margins.T, strict=True)]
+        ),
         scores,
         margins,
         torch.tensor(starts)[of_starts[lengths.cumsum(0) - lengths].argmax(1)] if asking else begun,
@@ -183,7 +191,8 @@ def _thresholds(
     if not settings.calibrated:
         return torch.zeros(len(segments))
     inside = [[one for one in own if not left_out[one.trajectory]] for own in segments]
-    return torch.tensor([best_threshold(*parts) for parts in zip(inside, scores.unbind(1), strict=True)])
+    pairs = zip(inside, scores.unbind(1), strict=True)
+    return torch.tensor([best_threshold(*parts, settings.tolerance) for parts in pairs])
 
 
 def _margins(

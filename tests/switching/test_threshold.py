@@ -27,11 +27,11 @@ def changes_of(parts):
     return [one for one in segments if (one.macro, one.following) == (0, 1)], scores
 
 
-def found(parts):
+def found(parts, tolerance=0):
     """The threshold, and the share that is recognised under it."""
     segments, scores = changes_of(parts)
-    threshold = best_threshold(segments, scores)
-    return threshold, recognised_share(segments, scores - threshold)
+    threshold = best_threshold(segments, scores, tolerance)
+    return threshold, recognised_share(segments, scores - threshold, tolerance)
 
 
 @pytest.mark.parametrize(
@@ -65,6 +65,23 @@ def test_no_other_threshold_serves_more(parts):
     assert share == pytest.approx(best)
     if share:
         assert served(threshold) == pytest.approx(share)
+
+
+@settings(deadline=None)
+@given(PARTS, st.integers(0, 4))
+def test_a_change_within_the_tolerance_is_in_time(parts, tolerance):
+    def served(at):
+        hits = 0
+        for before, after in parts:
+            far, near = before[: max(len(before) - tolerance, 0)], before[max(len(before) - tolerance, 0) :]
+            hits += max(far, default=-99) <= at < max([*near, *after[: tolerance + 1]])
+        return hits / len(parts)
+
+    threshold, share = found(parts, tolerance)
+    assert served(threshold) == pytest.approx(share)
+    # A segment with nothing before it is in time at any threshold far enough down.
+    if all(len(before) > tolerance for before, _ in parts):
+        assert share == pytest.approx(max(served(level / 2) for level in range(-12, 13)))
 
 
 def test_without_segments_the_decision_boundary_stands():
