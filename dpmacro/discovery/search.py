@@ -21,23 +21,21 @@ from dpmacro.discovery.refinement import recut, simplified
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import (
-    Evidence,
     Moments,
     action_events,
     chained,
+    evidence_of,
     feature_peaks,
     initial_segmentations,
     linear_alternation,
-    principal,
     random_cuts,
     vector_starts,
 )
 from dpmacro.features.levels import SortedLevels
 
-__all__ = ["adopt", "discover"]
+__all__ = ["adopt", "boosted", "discover", "raced"]
 
 PEAKS = 2  # candidates a restart that are cut at feature peaks, with two macro-actions; fewer with more
-COMPONENTS = 12
 TABLE = 2**23  # scores that stand in memory together
 
 
@@ -61,7 +59,7 @@ def discover(
     """
     paper = settings.criterion == "loss"
     tasks = [task] if settings.starts == "random" else _smaller(task)
-    search = _raced if task.actions.ndim == 2 and settings.starts != "random" else _alternated
+    search = _search_vectors if task.actions.ndim == 2 and settings.starts != "random" else _alternated
     parts = [search(data, one, settings, restarts, shrinkage, on_round) for one in tasks]
     alternated = pooled(parts)
     if paper:
@@ -100,10 +98,10 @@ def _alternated(
         starts = initial_segmentations(data.levels, task.actions, task.lengths, *bounds)
     if task.order == "chain":
         starts = chained(starts, task.lengths, task.macros)
-    return _boosted(data, task, starts, settings, shrinkage, generator, on_round)
+    return boosted(data, task, starts, settings, shrinkage, generator, on_round)
 
 
-def _raced(
+def _search_vectors(
     data: SortedLevels,
     task: Task,
     settings: SearchSettings,
@@ -112,31 +110,39 @@ def _raced(
     on_round: Callable[[Round], None],
 ) -> Alternated:
     """The alternation from the starts of vectors that did best in a short one."""
+    survivors = raced(data, task, settings, restarts, shrinkage, on_round)
     generator = torch.Generator().manual_seed(task.seed)
-    evidence = Evidence(
-        task.actions.cpu(),
-        principal(data.levels, COMPONENTS, generator),
-        task.lengths,
-        task.macros,
-        task.max_transitions,
-        task.order == "chain",
-    )
+    return boosted(data, task, survivors, settings, shrinkage, generator, on_round)
+
+
+def raced(
+    data: SortedLevels,
+    task: Task,
+    settings: SearchSettings,
+    restarts: int,
+    shrinkage: float,
+    on_round: Callable[[Round], None] = lambda _: None,
+) -> Int64[Tensor, "survivors frames"]:
+    """Where the best of many short alternations ended, distinct ones, least loss first.
+
+    They start where the linear alternation ended with least loss, and from as many starts as they are.
+    """
+    generator = torch.Generator().manual_seed(task.seed)
+    evidence = evidence_of(data.levels, task, generator)
     moments = Moments(evidence)
     starts = torch.cat(list(vector_starts(data.levels, evidence, moments, 2 * restarts, generator).values()))
     linear = linear_alternation(evidence, starts, moments)
     ended = linear.labels[linear.loss.argsort()]
     ended = ended[distinct(ended)][: (restarts + 1) // 2]
     raw = starts[torch.randperm(len(starts), generator=generator)[: restarts // 2]]
-    entrants = torch.cat([ended, raw])
     short = replace(settings, rounds=25, warmup=3, drawn=24)
-    parts = [
-        _boosted(data, task, group, short, shrinkage, generator, on_round)
-        for group in entrants.split(_at_a_time(task))
-    ]
-    raced = pooled(parts)
-    order = raced.labels[raced.loss[-1].argsort()]
-    survivors = order[distinct(order)][: max(restarts // 5, 1)]
-    return _boosted(data, task, survivors, settings, shrinkage, generator, on_round)
+    parts = []
+    for group in torch.cat([ended, raw]).split(_at_a_time(task)):
+        generator = torch.Generator().manual_seed(task.seed)
+        parts.append(boosted(data, task, group, short, shrinkage, generator, on_round))
+    found = pooled(parts)
+    ordered = found.labels[found.loss[-1].argsort()]
+    return ordered[distinct(ordered)][: max(restarts // 5, 1)]
 
 
 def _at_a_time(task: Task) -> int:
@@ -144,15 +150,16 @@ def _at_a_time(task: Task) -> int:
     return max(TABLE // (task.actions.numel() * task.macros), 1)
 
 
-def _boosted(
+def boosted(
     data: SortedLevels,
     task: Task,
     starts: Int64[Tensor, "restarts frames"],
     settings: SearchSettings,
     shrinkage: float,
     generator: torch.Generator,
-    on_round: Callable[[Round], None],
+    on_round: Callable[[Round], None] = lambda _: None,
 ) -> Alternated:
+    """The alternation from these starts."""
     learner = StumpLearner(data, drawn=settings.drawn)
     targets, n_problems = task.loss.targets(task.actions), len(starts) * task.macros
     boosting = Boosting(learner, targets, n_problems, shrinkage, generator, loss=task.loss)

@@ -3,19 +3,20 @@
 from dpmacro.discovery.starts.chains import chained
 from dpmacro.discovery.starts.classes import action_events, initial_segmentations
 from dpmacro.discovery.starts.cuts import feature_peaks, random_cuts, uniform_cuts
-from dpmacro.discovery.starts.evidence import Evidence, principal
+from dpmacro.discovery.starts.evidence import Evidence
 from dpmacro.discovery.starts.linear import Moments, linear_alternation
-from dpmacro.discovery.starts.vectors import vector_starts
+from dpmacro.discovery.starts.vectors import KINDS, evidence_of, vector_starts
 
 __all__ = [
+    "KINDS",
     "Evidence",
     "Moments",
     "action_events",
     "chained",
+    "evidence_of",
     "feature_peaks",
     "initial_segmentations",
     "linear_alternation",
-    "principal",
     "random_cuts",
     "uniform_cuts",
     "vector_starts",

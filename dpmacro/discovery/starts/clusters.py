@@ -1,9 +1,10 @@
-"""Macro-actions as clusters: of windows, of pieces, and of windows by how well one's model predicts another."""
+"""Macro-actions as clusters of windows and of pieces, by what is done in them or by the models of it."""
 
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from dpmacro.discovery.starts.events import stacked
 from dpmacro.discovery.starts.evidence import Evidence, k_means, window_means
 from dpmacro.discovery.starts.linear import Moments
 
@@ -20,18 +21,14 @@ def window_clusters(
 
     In turn, of both, of actions, and of components; the window is drawn, of 3 frames up to half a segment.
     """
-    parts = (
-        torch.cat([evidence.actions, evidence.components], 1),
-        evidence.actions,
-        evidence.components,
-    )
+    parts = evidence.values, evidence.actions, evidence.components
     starts = []
     for restart in range(restarts):
         width = 1 + int((2 * evidence.gap) ** float(torch.rand(1, generator=generator)))
         means = window_means(parts[restart % 3], evidence.lengths, width, width + 1)
         centres = k_means(means[:: max(len(means) // 2**12, 1)], evidence.macros, generator)
         starts.append(evidence.cheapest(_in_order(torch.cdist(means, centres) ** 2, evidence)))
-    return _stacked(starts, evidence)
+    return stacked(starts, evidence)
 
 
 def merged_pieces(
@@ -48,7 +45,7 @@ def merged_pieces(
         phase = torch.rand(1, generator=generator)
         piece = _pieces(evidence.lengths, count, float(phase))  # [frames], 0..count-1 within the trajectory
         starts.append(_named_pieces(evidence, _merged(evidence, piece, count, moments), moments, generator))
-    return _stacked(starts, evidence)
+    return stacked(starts, evidence)
 
 
 def spectral_windows(
@@ -65,7 +62,7 @@ def spectral_windows(
         longest = max(4 * evidence.gap, 2)
         length = max(int(longest * 2.0 ** (-1 - 2 * float(torch.rand(1, generator=generator)))), 2)
         starts.append(_spectral(evidence, length, moments, generator))
-    return _stacked(starts, evidence)
+    return stacked(starts, evidence)
 
 
 def _spectral(
@@ -160,9 +157,3 @@ def _in_order(costs: Float[Tensor, "frames macros"], evidence: Evidence) -> Floa
     nearest = costs.argmin(1)
     total = torch.zeros(costs.shape[1]).index_add_(0, nearest, time)
     return costs[:, (total / nearest.bincount(minlength=costs.shape[1]).clamp(min=1)).argsort()]
-
-
-def _stacked(starts: list[Tensor], evidence: Evidence) -> Int64[Tensor, "restarts frames"]:
-    if not starts:
-        return torch.zeros(0, len(evidence.actions), dtype=torch.int64)
-    return torch.stack(starts)

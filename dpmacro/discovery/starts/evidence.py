@@ -42,6 +42,11 @@ class Evidence:
         """Frames that cuts keep from one another and from the ends: a fourth of a segment of mean length."""
         return max(int(self.lengths.float().mean()) // (4 * (self.max_transitions + 1)), 1)
 
+    @property
+    def values(self) -> Float[Tensor, "frames both"]:
+        """Actions, then components."""
+        return torch.cat([self.actions, self.components], 1)
+
     def cheapest(self, costs: Float[Tensor, "frames macros"]) -> Int64[Tensor, " frames"]:
         """The macro-labels of least cost, within the bounds."""
         if self.chain:

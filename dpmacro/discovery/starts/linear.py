@@ -2,8 +2,8 @@
 
     sum_n |y_n - W_{q_n} [x_n, 1]|^2 + r sum_q |W_q|^2   subject to   #{n : q_n != q_{n+1}} <= S
 
-in every trajectory. It asks what a regression hidden Markov model asks (Fridman 1994), with a strict bound in place
-of transition probabilities, and converges in a few cheap sweeps from many starts side by side.
+in every trajectory. It asks what a regression hidden Markov model asks (Fridman 1994), with a strict bound in
+place of transition probabilities, and converges in a few cheap sweeps from many starts side by side.
 """
 
 from dataclasses import dataclass
@@ -78,8 +78,7 @@ def linear_alternation(
 
 
 def _alternated(evidence: Evidence, labels: Tensor, moments: Moments) -> tuple[Tensor, Tensor]:
-    restarts, n_frames = labels.shape
-    macros = evidence.macros
+    restarts, macros = len(labels), evidence.macros
     loss = torch.full((restarts,), torch.inf)
     going = torch.arange(restarts)
     for _ in range(SWEEPS):

@@ -1,19 +1,21 @@
 """Initial segmentations where actions are vectors: every kind, a share of each."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import torch
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
+from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.starts.chains import chained
 from dpmacro.discovery.starts.clusters import merged_pieces, spectral_windows, window_clusters
 from dpmacro.discovery.starts.cuts import feature_peaks, random_cuts, uniform_cuts
-from dpmacro.discovery.starts.events import jumps, shifts, slow_moments
-from dpmacro.discovery.starts.evidence import Evidence
+from dpmacro.discovery.starts.events import cut_at, jump_places, shift_places, slow_places
+from dpmacro.discovery.starts.evidence import Evidence, principal
+from dpmacro.discovery.starts.goals import by_goals
 from dpmacro.discovery.starts.linear import Moments
 
-__all__ = ["vector_starts"]
+__all__ = ["KINDS", "evidence_of", "vector_starts"]
 
 SHARES = {  # of the restarts
     "random": 3,
@@ -21,10 +23,22 @@ SHARES = {  # of the restarts
     "jumps": 2,
     "shifts": 2,
     "slow": 2,
+    "goals": 4,
     "windows": 2,
     "merged": 1,
     "spectral": 1,
 }
+
+
+KINDS = tuple(SHARES)
+COMPONENTS = 16  # of the columns
+
+
+def evidence_of(levels: UInt8[Tensor, "columns frames"], task: Task, generator: torch.Generator) -> Evidence:
+    """What the starts of a task look at."""
+    components = principal(levels, COMPONENTS, generator)
+    bounds = task.macros, task.max_transitions, task.order == "chain"
+    return Evidence(task.actions.cpu(), components, task.lengths, *bounds)
 
 
 def vector_starts(
@@ -33,24 +47,29 @@ def vector_starts(
     moments: Moments,
     restarts: int,
     generator: torch.Generator,
+    shares: Mapping[str, int] = SHARES,
 ) -> dict[str, Int64[Tensor, "own frames"]]:
     """`restarts` starts by their kind; all keep the bound, and are chains where those are asked for."""
     bounds = evidence.macros, evidence.max_transitions
     kinds: dict[str, Callable[[int], Tensor]] = {
         "random": lambda n: torch.cat(
-            [uniform_cuts(evidence.lengths, *bounds)[:n], random_cuts(evidence.lengths, max(n - 1, 0), *bounds, generator)]
+            [
+                uniform_cuts(evidence.lengths, *bounds)[:n],
+                random_cuts(evidence.lengths, max(n - 1, 0), *bounds, generator),
+            ]
         ),
         "peaks": lambda n: feature_peaks(levels, evidence.lengths, n, *bounds, generator),
-        "jumps": lambda n: jumps(evidence, n, generator),
-        "shifts": lambda n: shifts(evidence, n, generator),
-        "slow": lambda n: slow_moments(evidence, n, generator),
+        "jumps": lambda n: cut_at(jump_places, evidence, n, generator),
+        "shifts": lambda n: cut_at(shift_places, evidence, n, generator),
+        "slow": lambda n: cut_at(slow_places, evidence, n, generator),
+        "goals": lambda n: by_goals(levels, evidence, n, generator),
         "windows": lambda n: window_clusters(evidence, n, generator),
         "merged": lambda n: merged_pieces(evidence, n, generator, moments),
         "spectral": lambda n: spectral_windows(evidence, n, generator, moments),
     }
-    total, given, found = sum(SHARES.values()), 0, {}
+    total, given, found = sum(shares.values()), 0, {}
     so_far = 0
-    for name, share in SHARES.items():
+    for name, share in shares.items():
         so_far += share
         count = -(-restarts * so_far // total) - given
         given += count
