@@ -158,5 +158,5 @@ class State:
         """What is subtracted from what: places among the vectors of all lags one after another, then 0."""
         first, second, lag = self.table.long().unbind(1)
         size = len(self.dimensions)
-        place = torch.searchsorted(torch.tensor(self.lags, device=lag.device), lag)
+        place = torch.searchsorted(torch.tensor(self.lags, device=lag.device), lag.contiguous())
         return first, torch.where(second == NONE, size * len(self.lags), place * size + second)
