@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
+from dpmacro.data.images import DatasetError
 from dpmacro.data.lerobot.compat import create_dataset, embedding_at_once, quiet, resume_dataset
-from dpmacro.data.lerobot.decoding import DatasetError
 from dpmacro.data.lerobot.reader import WORLD_FILE, StoredDataset
 from dpmacro.utils import interrupts
 from dpmacro.utils.files import replace_folder
