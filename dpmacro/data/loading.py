@@ -11,6 +11,7 @@ from dpmacro.data.images import DatasetError, FrameBuffer, ImageTransform
 from dpmacro.data.inputs import choose_inputs, read_cameras, read_vectors, task_names
 from dpmacro.data.lerobot.layout import StoredEpisode
 from dpmacro.data.lerobot.reader import StoredDataset
+from dpmacro.data.lerobot.rows import Rows
 from dpmacro.data.names import entry_names
 from dpmacro.data.truth import choose_truth, true_labels
 
@@ -77,7 +78,7 @@ def load_parts(
             name: entry_names(store.features[name], values.shape[1]) for name, values in vectors.items()
         },
         "tasks": tasks,
-        "notes": (*_notes(buffers, vectors, tasks, observations), *what.notes, *depths),
+        "notes": (*_notes(buffers, vectors, tasks, observations), *what.notes, *depths, *_disorder(rows)),
     }
 
 
@@ -101,6 +102,13 @@ def _of_task(store: StoredDataset, episodes: list[StoredEpisode], task: str | in
             f"{', '.join(repr(word) for word in sorted(known)[:10]) or 'none with words'}"
         )
     return found
+
+
+def _disorder(rows: Rows) -> list[str]:
+    if not rows.unordered:
+        return []
+    which = ", ".join(map(str, rows.unordered[:5])) + (", ..." if len(rows.unordered) > 5 else "")
+    return [f"frame_index repeats in episodes {which}: their frames are taken in the order of the rows"]
 
 
 def _refuse_short(store: StoredDataset, episode: StoredEpisode, length: int | None) -> None:

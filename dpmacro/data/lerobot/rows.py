@@ -30,17 +30,18 @@ class Rows:
     Attributes:
         lengths: frames of each episode.
         parts: where they lie, a file each.
+        unordered: indices of the episodes whose frame_index repeats, so that rows are in the files' order.
     """
 
     lengths: Int64[np.ndarray, " episodes"]
     parts: tuple[Part, ...]
+    unordered: tuple[int, ...] = ()
 
     @classmethod
     def locate(cls, root: Path, episodes: Sequence[StoredEpisode]) -> "Rows":
         """Finds them in the files that the metadata names and, where those lack rows, in all others.
 
-        Raises DatasetError where an episode has not as many rows as the metadata says, or two rows of one
-        frame_index.
+        Raises DatasetError where an episode has not as many rows as the metadata says.
         """
         found: dict[int, list[tuple[Path, np.ndarray, np.ndarray]]] = {
             episode.index: [] for episode in episodes
@@ -60,21 +61,23 @@ class Rows:
                     _scan(path, elsewhere, found)
         for episode in short:
             _refuse_incomplete(root, episode, found[episode.index])
-        return cls._of(root, episodes, found)
+        return cls._of(episodes, found)
 
     @classmethod
     def _of(
         cls,
-        root: Path,
         episodes: Sequence[StoredEpisode],
         found: dict[int, list[tuple[Path, np.ndarray, np.ndarray]]],
     ) -> "Rows":
         parts: dict[Path, list[tuple[np.ndarray, np.ndarray]]] = {}
-        lengths, start = [], 0
+        lengths, unordered, start = [], [], 0
         for episode in episodes:
             pieces = found[episode.index]
-            order = np.argsort(np.concatenate([frame for _, _, frame in pieces]), kind="stable")
-            _refuse_doubles(root, episode, np.concatenate([frame for _, _, frame in pieces])[order])
+            frame_index = np.concatenate([frame for _, _, frame in pieces])
+            order = np.argsort(frame_index, kind="stable")
+            if (np.diff(frame_index[order]) == 0).any():  # it numbers nothing
+                order = np.arange(len(order))
+                unordered.append(episode.index)
             places = np.empty(len(order), np.int64)
             places[order] = start + np.arange(len(order))
             first = 0
@@ -87,7 +90,7 @@ class Rows:
             Part(path, *(np.concatenate(side) for side in zip(*pieces, strict=True)))
             for path, pieces in parts.items()
         )
-        return cls(np.array(lengths, np.int64), tuple(joined))
+        return cls(np.array(lengths, np.int64), tuple(joined), tuple(unordered))
 
 
 def _scan(
@@ -128,12 +131,3 @@ def _refuse_incomplete(
         "meta/episodes and "
         f"{count} in {file}; record it again"
     )
-
-
-def _refuse_doubles(root: Path, episode: StoredEpisode, frame_index: np.ndarray) -> None:
-    double = np.flatnonzero(np.diff(frame_index) == 0)
-    if double.size:
-        raise DatasetError(
-            f"dataset {root}: episode {episode.index} has two rows of frame_index "
-            f"{frame_index[double[0]]}; keep one"
-        )
