@@ -39,7 +39,14 @@ def main(options: TrainOptions) -> None:
     assert dataset.root is not None, "the options checked it"
     transform = ImageTransform(dataset.image_size, memory=options.planner.memory_limit)
     demonstrations = Demonstrations.load(
-        dataset.root, dataset.episodes, dataset.camera, dataset.truth, transform
+        dataset.root,
+        dataset.episodes,
+        inputs=dataset.inputs,
+        camera=dataset.camera,
+        action=dataset.action,
+        truth=dataset.truth,
+        transform=transform,
+        task=dataset.task,
     )
     started = time.perf_counter()
     if options.dagger.iterations:

@@ -55,13 +55,17 @@ def picture_count(summary: Summary, shown: int) -> int:
 
 
 def chosen_pixels(policy: MacroPolicy) -> Float[np.ndarray, "macros height width"] | None:
-    """How much the stumps of every macro-action's classifier rest on each pixel; None where it has no stumps.
+    """How much the stumps of every macro-action's classifier rest on each pixel of the first camera.
+
+    None where it has no stumps, or none looks at a camera.
 
     A stump counts with the step of its votes, spread evenly over the pixels that its column looks at.
     """
     if not isinstance(policy.actor, StumpClassifier):
         return None
-    return policy.features.footprint(policy.actor.importances(policy.features.count)).cpu().numpy()
+    maps = policy.features.footprint(policy.actor.importances(policy.features.count))
+    found = next((maps[camera] for camera in policy.config.cameras if camera in maps), None)
+    return None if found is None else found.cpu().numpy()
 
 
 def mean_images(

@@ -73,7 +73,7 @@ def _parts(summary: Summary, shown: list[tuple[str, str]]) -> Iterator[str]:
             **summary.sources,
             "demonstrations": f"{len(lengths)}, {int(lengths.sum()):,} frames",
             "macro-actions": f"{config.macros}, with at most {bound} transitions in a demonstration",
-            "features": config.features,
+            "inputs": ", ".join(config.inputs),
         }
     )
     yield html.section("Scores", _scores(summary))

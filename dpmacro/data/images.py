@@ -41,22 +41,26 @@ class ImageTransform:
     Attributes:
         size: what images are shrunk to, by the mean over areas: one for all cameras, or one by the camera's
             name; `natural_size` where it is None or a camera is not named.
-        stored: the only size that stored images may have, that of a policy's training; None allows any.
+        stored: the only size that stored images may have, that of a policy's training, likewise for all
+            cameras or by name; None allows any.
         memory: GiB that all transformed images may take together; None allows any.
     """
 
     size: tuple[int, int] | Mapping[str, tuple[int, int]] | None = None
-    stored: tuple[int, int] | None = None
+    stored: tuple[int, int] | Mapping[str, tuple[int, int]] | None = None
     memory: float | None = None
 
     def of(self, camera: str) -> "ImageTransform":
         """What is done to the images of one camera."""
-        size = self.size.get(camera) if isinstance(self.size, Mapping) else self.size
-        return replace(self, size=None if size is None else (size[0], size[1]))
+        size, stored = (
+            one.get(camera) if isinstance(one, Mapping) else one for one in (self.size, self.stored)
+        )
+        return replace(self, size=size and (size[0], size[1]), stored=stored)
 
     def sized(self, width: int, height: int, name: str) -> tuple[int, int]:
         """The size of transformed images. Raises DatasetError, beginning with `name`, for one not allowed."""
         assert not isinstance(self.size, Mapping), "take the transform of one camera"
+        assert not isinstance(self.stored, Mapping), "take the transform of one camera"
         if self.stored is not None and self.stored != (width, height):
             raise DatasetError(
                 f"{name}: images are {width}x{height}, the policy was trained on {_text(self.stored)}"

@@ -119,7 +119,8 @@ def _gathered(
             _add(writer, visit, recording_of(world["id"]).task)
             agreed.append(visit.agreed[~visit.taught])
     height, width = demonstrations.images.shape[1:3]
-    stored = Demonstrations.load(root, transform=ImageTransform((width, height)))
+    transform = ImageTransform((width, height))
+    stored = Demonstrations.load(root, inputs=demonstrations.cameras, transform=transform)
     new = range(len(stored.lengths) - dagger.episodes, len(stored.lengths))
     return stored.select(new), float(np.concatenate(agreed).mean())
 
@@ -132,7 +133,7 @@ def _writer(root: Path, demonstrations: Demonstrations) -> DemonstrationWriter:
     return DemonstrationWriter.create(
         root,
         names,
-        demonstrations.fps,
+        round(demonstrations.fps),
         demonstrations.world,
         False,
         classes,

@@ -26,7 +26,7 @@ from dpmacro.policy.recovery import MAX_ACTIONS
 from dpmacro.switching.training import SWITCH_FOLDS
 from dpmacro.training.options import TrainOptions
 
-__all__ = ["Columns", "TrainingData"]
+__all__ = ["Columns", "TrainingData", "state_key"]
 
 TASK = "task_index"
 WINDOW = 0.5  # seconds of the longer change of a state
@@ -81,9 +81,7 @@ class TrainingData:
         planner = options.planner
         spec = _spec(demonstrations)
         window = max(round(WINDOW * demonstrations.fps), 2)
-        self.encoder = make_encoder(
-            spec, planner.features, planner.rectangles, window, PAIRS, generator
-        )
+        self.encoder = make_encoder(spec, planner.features, planner.rectangles, window, PAIRS, generator)
         self.plan = self._plan(most)
 
     @property

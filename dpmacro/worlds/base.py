@@ -41,8 +41,8 @@ class Planner(Protocol):
     def reset(self, env: gym.Env) -> None:
         """Begin an episode of `env`, which was just reset."""
 
-    def act(self, observation: dict[str, Any], info: dict[str, Any]) -> int:
-        """Return the action to take."""
+    def act(self, observation: dict[str, Any], info: dict[str, Any]) -> Any:
+        """Return the action to take, an int or a vector of numbers."""
 
 
 @runtime_checkable
