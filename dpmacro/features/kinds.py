@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dpmacro.features.base import Encoder
+from dpmacro.features.base import Encoder, Observation
 from dpmacro.features.encoders.concat import Concat
 from dpmacro.features.encoders.pixels import Pixels
 from dpmacro.features.encoders.rectangles import Rectangles
@@ -20,6 +20,7 @@ __all__ = [
     "ObservationSpec",
     "StateSpec",
     "TaskSpec",
+    "blank_observation",
     "encoder_from",
     "make_encoder",
     "make_features",
@@ -73,8 +74,8 @@ def make_encoder(
         pairs: at most so many differences of two dimensions of a state.
         generator: draws rectangles and differences.
 
-    Raises ValueError where nothing is seen, for another kind, for fewer rectangles than cameras, and as
-    `State.make` and `Task.all` do.
+    Raises ValueError where nothing is seen or varies, for another kind, for fewer rectangles than cameras,
+    and as `State.make` and `Task.all` do.
     """
     if kind not in FEATURES:
         raise ValueError(f"features are {kind!r}: choose one of {', '.join(FEATURES)}")
@@ -92,7 +93,10 @@ def make_encoder(
     parts += [Task.all(one.count, key) for key, one in observations.items() if isinstance(one, TaskSpec)]
     if not parts:
         raise ValueError("nothing is seen: give a camera, a state or a task at least")
-    return Concat.of(parts)
+    encoder = Concat.of(parts)
+    if encoder.count == 0:
+        raise ValueError(f"nothing varies in {', '.join(observations)}: give more to look at")
+    return encoder
 
 
 def make_features(
@@ -133,6 +137,20 @@ def encoder_from(spec: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> Enco
         return ENCODERS[kind](**values, **tensors)
     except TypeError as error:
         raise ValueError(f"{kind} cannot be made of {sorted([*values, *tensors])}: {error}") from error
+
+
+def blank_observation(encoder: Encoder, batch: int, device: str | torch.device = "cpu") -> Observation:
+    """Black images, states of 0 and task 0, all that an encoder of these kinds looks at."""
+    found: dict[str, Tensor] = {}
+    for part in encoder.parts if isinstance(encoder, Concat) else (encoder,):
+        if isinstance(part, Rectangles | Pixels):
+            size, dtype = [batch, part.height, part.width, 3], torch.uint8
+        elif isinstance(part, State):
+            size, dtype = [batch, len(part.dimensions)], torch.float32
+        else:
+            size, dtype = [batch], torch.int64
+        found[part.keys[0]] = torch.zeros(size, dtype=dtype, device=device)
+    return found
 
 
 def _parts(specs: Sequence[Mapping[str, Any]], tensors: Mapping[str, Tensor]) -> list[Encoder]:

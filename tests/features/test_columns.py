@@ -160,12 +160,12 @@ class Watched:
 
 
 def test_neither_values_nor_copies_stand_in_memory_at_once(monkeypatch):
-    monkeypatch.setattr(memory, "SAMPLED", 300)
+    monkeypatch.setattr(memory, "SAMPLED", 100)
     monkeypatch.setattr(memory, "VALUES", 2000)
     monkeypatch.setattr(memory, "GATHERED", 20_000)
     asked, encoder = [], everything()
     plan = Plan(encoder.count, encoder.count, 5, 1.0)
-    lengths, observations = torch.tensor([400, 600]), observe(1000, 3)
+    lengths, observations = torch.tensor([120, 180]), observe(300, 3)
     _, quantiser, data = prepare(observations, lengths, Watched(encoder, asked), plan, torch.Generator())
     assert max(values for values, _ in asked) <= 4 * 2000 and max(copied for _, copied in asked) <= 20_000
     assert torch.equal(

@@ -12,7 +12,7 @@ from dpmacro.features.encoders.rectangles import Rectangles
 from dpmacro.features.encoders.state import State
 from dpmacro.features.encoders.task import Task
 from dpmacro.features.history import Recording
-from dpmacro.features.kinds import encoder_from, make_encoder
+from dpmacro.features.kinds import StateSpec, blank_observation, encoder_from, make_encoder
 from tests.features.observed import FRONT, OTHER, SPECS, STATE, TASK, TOP, observe
 
 
@@ -127,6 +127,16 @@ def test_float64_holds_large_sums_and_small_states_exactly():
     assert values[:, 0].tolist() == [255 * 400 * 400 - 1, torch.tensor(0.1).double().item()]
 
 
+def test_a_blank_observation_is_all_that_is_looked_at():
+    whole = Concat.of(parts_of(0))
+    for encoder in (whole, whole.parts[0]):
+        blank = blank_observation(encoder, 2)
+        assert {key: (value.shape, value.dtype) for key, value in blank.items()} == {
+            key: (value.shape, value.dtype) for key, value in observe(2, 0, encoder.keys).items()
+        }
+        assert encoder.values(dict.fromkeys(encoder.lags, blank)).shape == (encoder.count, 2)
+
+
 def test_rectangles_of_one_camera_are_drawn_as_without_anything_else():
     def draw(keys):
         specs = {key: SPECS[key] for key in keys}
@@ -156,6 +166,7 @@ def test_rectangles_are_divided_among_cameras():
     ("keys", "kind", "rectangles", "message"),
     [
         ([], "rectangles", 5, "nothing is seen"),
+        (["still"], "rectangles", 5, "nothing varies in still"),
         ([STATE], "hog", 5, "'hog'"),
         ([FRONT], "rectangles", 0, "is 0: draw 1 at least"),
         ([FRONT, TOP], "rectangles", 1, "is 1: draw 2 at least, one for each camera"),
@@ -163,7 +174,8 @@ def test_rectangles_are_divided_among_cameras():
 )
 def test_what_cannot_be_made_is_named(keys, kind, rectangles, message):
     with pytest.raises(ValueError, match=message):
-        make_encoder({key: SPECS[key] for key in keys}, kind, rectangles, 4, 2, torch.Generator())
+        specs = {**SPECS, "still": StateSpec(("x",), ())}
+        make_encoder({key: specs[key] for key in keys}, kind, rectangles, 4, 2, torch.Generator())
 
 
 @pytest.mark.parametrize(
