@@ -15,9 +15,10 @@ from matplotlib.patches import Patch
 
 from dpmacro.utils.files import replacing
 
-# Okabe and Ito's colours, distinct under the common kinds of colour blindness; truth stands in greys,
-# neighbours far apart.
-PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000", "#F0E442")
+# Okabe and Ito's colours, distinct under the common kinds of colour blindness, then four that are darker or
+# paler than those near them; truth stands in greys, neighbours far apart.
+OKABE_ITO = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000", "#F0E442")
+PALETTE = (*OKABE_ITO, "#6A3D9A", "#8C510A", "#B5E2A8", "#7F1734")
 GREYS = ("#D3D8DC", "#6B757E", "#A3ACB4", "#3D454C", "#BBC2C8", "#545D65", "#8A939B", "#20262B")
 ACTIONS = ("#E8E4DA", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#E69F00")
 INK = "#222222"
@@ -31,6 +32,14 @@ HANDLE, LETTER = 0.75, 0.085  # inches, of a legend's patch with its space, and 
 def macro_colour(macro: int) -> str:
     """Colour of a macro-action as "#rrggbb", the same in every picture and video."""
     return PALETTE[macro % len(PALETTE)]
+
+
+def shortened(text: str, letters: int) -> str:
+    """Text of at most so many letters: of a longer one the two ends."""
+    if len(text) <= letters:
+        return text
+    end = (letters - 1) // 2
+    return f"{text[: letters - 1 - end]}…{text[-end:]}"
 
 
 def ink_on(shade: Sequence[float] | np.ndarray) -> str:
@@ -96,7 +105,9 @@ def legend(figure: Figure, colours: Sequence[str], names: Sequence[str], confide
         steps = (faded(grey, np.array(step)) for step in (1.0, 0.75, 0.5, 0.25, 0.0))
         handles.append(tuple(Patch(facecolor=step, edgecolor=FAINT, linewidth=0.5) for step in steps))
         texts.append("pale: unsure")
-    longest = max(map(len, texts), default=0)
+    if not texts:
+        return
+    longest = max(map(len, texts))
     figure.legend(
         handles=handles,
         labels=texts,
