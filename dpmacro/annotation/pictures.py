@@ -107,7 +107,7 @@ def chosen_columns(policy: MacroPolicy) -> list[dict[str, float]]:
 
 
 def pixels_name(policy: MacroPolicy, camera: str) -> str:
-    """What the picture of a camera's pixels is called: "pixels", of several cameras with the camera's name."""
+    """What the picture of a camera's pixels is called: "pixels", with its name where there are several."""
     return f"pixels_{input_name(camera)}" if len(policy.config.cameras) > 1 else "pixels"
 
 
@@ -151,14 +151,15 @@ def mean_images(
 
 def _drawings(summary: Summary, shown: int) -> list[Callable[[], Picture]]:
     """What draws each picture, in their order."""
-    drawings = [partial(_timelines, summary), partial(_graph, summary)]
+    drawings: list[Callable[[], Picture]] = [partial(_timelines, summary), partial(_graph, summary)]
     if len(summary.cost_by_bound) > 1:
         drawings.append(partial(_elbow, summary))
     if columns := chosen_columns(summary.policy):
         drawings.append(partial(_columns, summary, columns))
     for camera, weights in chosen_pixels(summary.policy).items():
         drawings.append(partial(_heat_maps, summary, camera, weights))
-    return drawings + [partial(_timeline, summary, place) for place in range(len(summary.episodes))][:shown]
+    drawings += [partial(_timeline, summary, place) for place in range(min(shown, len(summary.episodes)))]
+    return drawings
 
 
 def _timelines(summary: Summary) -> Picture:
@@ -201,8 +202,8 @@ def _heat_maps(summary: Summary, camera: str, weights: Float[np.ndarray, "macros
     of = f" of camera {input_name(camera)}" if several else ""
     alt = f"For every macro-action its mean image{of}, and in grey with the pixels its classifier weighs"
     caption = (
-        f"Above, the mean image{of} over a macro-action's frames. Below, the weight of every stump spread over "
-        "the pixels that it looks at. The classifier decides by those of most weight."
+        f"Above, the mean image{of} over a macro-action's frames. Below, the weight of every stump spread "
+        "over the pixels that it looks at. The classifier decides by those of most weight."
     )
     figure = figures.heat_maps(means, weights, _named(summary))
     return Picture(pixels_name(summary.policy, camera), LOOKED_AT, figure, alt, caption)

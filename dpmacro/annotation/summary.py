@@ -132,7 +132,8 @@ class Summary:
         where the macro-action has no frame.
         """
         result = []
-        for macro, actions in enumerate(self._dimensions if self.demonstrations.vector else self._classes):
+        told = self._dimensions() if self.demonstrations.vector else self._classes()
+        for macro, actions in enumerate(told):
             held = self.labels == macro
             n_segments = sum(found == macro for part in self.segments for found, _, _ in part)
             result.append(
@@ -152,15 +153,13 @@ class Summary:
         """The frames of every macro-action."""
         return (self.labels == macro for macro in range(self.policy.config.macros))
 
-    @property
-    def _classes(self) -> Iterator[dict[str, dict[str, float]]]:
+    def _classes(self) -> Iterator[dict[str, Any]]:
         names, actions = self.demonstrations.action_names, self.demonstrations.actions
         for held in self._held:
             shares = np.bincount(actions[held], minlength=len(names)) / max(int(held.sum()), 1)
             yield {"actions": dict(zip(names, shares.tolist(), strict=True))}
 
-    @property
-    def _dimensions(self) -> Iterator[dict[str, list[dict[str, Any]]]]:
+    def _dimensions(self) -> Iterator[dict[str, Any]]:
         names, actions = self.demonstrations.action_names, self.demonstrations.actions
         off = standardised(actions)
         for held in self._held:

@@ -1,6 +1,7 @@
 """Which columns the classifiers rest on: bars for every macro-action."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -59,7 +60,7 @@ def _bars(axis: Axes, shares: Mapping[str, float], colour: str, tall: int) -> No
     pale = faded(np.array(to_rgb(colour)), np.array(PALE))
     axis.barh(range(len(shares)), list(shares.values()), height=0.82, color=pale)
     for row, (name, share) in enumerate(shares.items()):
-        style = {"va": "center", "fontsize": 8, "color": INK, "transform": axis.get_yaxis_transform()}
+        style: dict[str, Any] = {"va": "center", "fontsize": 8, "color": INK, "transform": axis.get_yaxis_transform()}
         axis.text(0.025, row, shortened(name, LETTERS), **style)
         axis.text(1.0, row, f"{share:.0%}", ha="right", **style)
     if not shares:
