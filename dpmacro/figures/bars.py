@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dpmacro.figures.style import INK, bare, faded, macro_colour, set_title, shortened
 
@@ -16,7 +17,7 @@ ACROSS = 3  # macro-actions side by side
 SIDE = 4.0  # inches, of a macro-action
 BAR = 0.23  # inches, with the space between two
 LETTERS = 46  # of a bar's name
-PALE = 0.45  # of the macro-action's colour: the name stands on it
+PALE = 0.38  # of the macro-action's colour: the name stands on it
 
 
 def column_bars(
@@ -39,7 +40,7 @@ def column_bars(
     shares = [_largest(own, most) for own in weights]
     tall = max(1, *map(len, shares)) if shares else 1
     size = across * SIDE, rows * (tall * BAR + 0.42) + (0.4 if title else 0.05)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.1))
     axes = figure.subplots(rows, across, squeeze=False).ravel()
     widest = max((share for own in shares for share in own.values()), default=1.0)
     for macro, (axis, own) in enumerate(zip(axes, shares, strict=False)):
@@ -60,7 +61,12 @@ def _bars(axis: Axes, shares: Mapping[str, float], colour: str, tall: int) -> No
     pale = faded(np.array(to_rgb(colour)), np.array(PALE))
     axis.barh(range(len(shares)), list(shares.values()), height=0.82, color=pale)
     for row, (name, share) in enumerate(shares.items()):
-        style: dict[str, Any] = {"va": "center", "fontsize": 8, "color": INK, "transform": axis.get_yaxis_transform()}
+        style: dict[str, Any] = {
+            "va": "center",
+            "fontsize": 8,
+            "color": INK,
+            "transform": axis.get_yaxis_transform(),
+        }
         axis.text(0.025, row, shortened(name, LETTERS), **style)
         axis.text(1.0, row, f"{share:.0%}", ha="right", **style)
     if not shares:

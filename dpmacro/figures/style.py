@@ -26,6 +26,8 @@ FAINT = "#DDDDDD"
 WIDTH = 12.0
 DPI = 120
 NAMED = 24  # colours that a legend names at most
+LEGEND = 0.22  # inches, of a legend's line
+SURE = "pale: unsure"
 HANDLE, LETTER = 0.75, 0.085  # inches, of a legend's patch with its space, and of a letter
 
 
@@ -92,6 +94,12 @@ def set_title(figure: Figure, title: str) -> None:
     figure.suptitle(title, x=0.01, ha="left", fontsize=13, weight="bold", color=INK)
 
 
+def legend_height(names: Sequence[str], confidence: bool = False) -> float:
+    """Inches that `legend` takes below a figure of the usual width."""
+    texts = [*names[: NAMED + 1], *[SURE] * confidence]
+    return LEGEND * -(-len(texts) // _columns(texts, WIDTH)) if texts else 0.0
+
+
 def legend(figure: Figure, colours: Sequence[str], names: Sequence[str], confidence: bool = False) -> None:
     """What the colours mean, below all; where `confidence` shades them, what that means, too."""
     more = len(names) - NAMED
@@ -104,15 +112,20 @@ def legend(figure: Figure, colours: Sequence[str], names: Sequence[str], confide
         grey = np.array(to_rgb(GREYS[5]))
         steps = (faded(grey, np.array(step)) for step in (1.0, 0.75, 0.5, 0.25, 0.0))
         handles.append(tuple(Patch(facecolor=step, edgecolor=FAINT, linewidth=0.5) for step in steps))
-        texts.append("pale: unsure")
+        texts.append(SURE)
     if not texts:
         return
-    longest = max(map(len, texts))
     figure.legend(
         handles=handles,
         labels=texts,
         loc="outside lower center",
-        ncols=max(1, min(len(texts), 6, int(figure.get_figwidth() / (HANDLE + LETTER * longest)))),
+        ncols=_columns(texts, figure.get_figwidth()),
         frameon=False,
         handler_map={tuple: HandlerTuple(ndivide=None, pad=0)},
     )
+
+
+def _columns(texts: Sequence[str], width: float) -> int:
+    """Of a legend in a figure of this width, in inches."""
+    longest = max(map(len, texts))
+    return max(1, min(len(texts), 6, int(width / (HANDLE + LETTER * longest))))

@@ -1,6 +1,8 @@
 """Demonstrations along time: what was seen, true classes, macro-actions and how sure they are, actions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -28,6 +30,7 @@ from dpmacro.figures.style import (
     WIDTH,
     bare,
     legend,
+    legend_height,
     macro_colour,
     set_title,
     shortened,
@@ -35,8 +38,16 @@ from dpmacro.figures.style import (
 
 ROW, TALL = 0.36, 0.72  # inches, of rows of strips and lines
 GAP = 0.06  # inches, between two rows
-FRAME = 1.35  # inches, for title, legend and the frames' numbers
+FRAME = 1.15  # inches, for the title and the frames' numbers
+DEMONSTRATION, LEAST, MOST = 0.28, 1.1, 38.0  # inches, of one among all, and of all
 LETTERS = 22  # of a row's name
+
+
+@dataclass(frozen=True)
+class _Row:
+    name: str
+    height: float  # inches
+    draw: Callable[[Axes], None]  # within 0..1
 
 
 def timeline(
@@ -67,48 +78,37 @@ def timeline(
         confidence: in every frame's label.
     """
     seen = images if isinstance(images, Mapping) else {"seen": images}
-    lines = [] if isinstance(actions, np.ndarray) else list(actions)
     classes = {} if truth is None else class_names(truth, truth_classes)
-    rows = [(name, STRIP / THUMBNAILS * shown.shape[1] / shown.shape[2]) for name, shown in seen.items()]
-    rows += [] if truth is None else [(true_name(truth_name), ROW)]
-    rows += [("macro-action", ROW)]
-    rows += [(line.name, TALL if line.tall else ROW) for line in lines] if lines else []
-    rows += [("action", ROW)] if isinstance(actions, np.ndarray) else []
-    heights = [height for _, height in rows]
-    size = WIDTH, sum(heights) + GAP * (len(rows) - len(seen)) + FRAME
+    rows = [
+        _Row(
+            name, STRIP / THUMBNAILS * shown.shape[1] / shown.shape[2], partial(draw_thumbnails, images=shown)
+        )
+        for name, shown in seen.items()
+    ]
+    if truth is not None:
+        rows.append(_Row(true_name(truth_name), ROW, partial(_true_strip, truth=truth, classes=classes)))
+    rows.append(_Row("macro-action", ROW, partial(_found_strip, labels, confidence, truth)))
+    if isinstance(actions, np.ndarray):
+        rows.append(_Row("action", ROW, lambda axis: draw_strip(axis, actions, ACTIONS, 0.0, 1.0)))
+    else:
+        rows += [
+            _Row(line.name, TALL if line.tall else ROW, partial(draw_line, line=line, labels=labels))
+            for line in actions
+        ]
+    colours, names = _meaning(actions, action_names, classes)
+    heights = [row.height for row in rows]
+    below = FRAME + legend_height(names, confidence is not None)
+    size = WIDTH, sum(heights) + GAP * (len(rows) - len(seen)) + below
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(len(rows), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
-    for axis, (name, _) in zip(axes, rows, strict=True):
+    for axis, row in zip(axes, rows, strict=True):
         bare(axis)
-        text = shortened(name, LETTERS)
+        text = shortened(row.name, LETTERS)
         axis.set_ylabel(text, rotation=0, ha="right", va="center", color=INK, labelpad=8)
+        row.draw(axis)
         axis.vlines(changes(labels), 0, 1, color="black", linewidth=1.6)
-    below = iter(axes)
-    for shown in seen.values():
-        draw_thumbnails(next(below), shown)
-    if truth is not None:
-        axis = next(below)
-        draw_strip(axis, truth, GREYS, 0.0, 1.0)
-        write_names(axis, truth, GREYS, classes)
-        _dashed(axis, truth)
-    axis = next(below)
-    draw_strip(axis, labels, PALETTE, 0.0, 1.0, confidence)
-    write_names(axis, labels, PALETTE, {}, confidence)
-    if truth is not None:
-        _dashed(axis, truth)
-    for line in lines:
-        draw_line(next(below), line, labels)
-    if isinstance(actions, np.ndarray):
-        draw_strip(next(below), actions, ACTIONS, 0.0, 1.0)
-    for axis in axes:
         axis.set_ylim(0, 1)
     _count_frames(axes[-1], len(labels))
-    used = np.unique(actions).tolist() if isinstance(actions, np.ndarray) else []
-    colours = [ACTIONS[action % len(ACTIONS)] for action in used]
-    names = [action_names[action] if action < len(action_names) else f"action {action}" for action in used]
-    if any(name != str(number) for number, name in classes.items()):
-        colours += [GREYS[number % len(GREYS)] for number in classes]
-        names += [f"{number}: {name}" for number, name in classes.items()]
     legend(figure, colours, names, confidence is not None)
     set_title(figure, title)
     return figure
@@ -129,7 +129,14 @@ def timelines(
     Where `confidence`, 0..1, is low the macro-action's colour is pale. `numbers` are those of the
     demonstrations, by default 0, 1, ...
     """
-    figure = Figure(figsize=(WIDTH, min(1.5 + 0.28 * len(lengths), 40.0)), layout="constrained")
+    macros = np.unique(labels).tolist()
+    colours, names = [macro_colour(macro) for macro in macros], [f"macro-action {macro}" for macro in macros]
+    for number, name in {} if truth is None else class_names(truth, truth_classes).items():
+        colours.append(GREYS[number % len(GREYS)])
+        names.append(f"{true_name(truth_name)} {number}" if name == str(number) else f"true: {name}")
+    tall = min(max(DEMONSTRATION * len(lengths), LEAST), MOST)
+    below = legend_height(names, confidence is not None)
+    figure = Figure(figsize=(WIDTH, tall + FRAME + below), layout="constrained")
     axis = figure.subplots()
     ends = np.cumsum(lengths)
     for row, (start, end) in enumerate(zip(ends - lengths, ends, strict=True)):
@@ -148,11 +155,6 @@ def timelines(
         )
     axis.set_ylabel("demonstration")
     _count_frames(axis, int(lengths.max()))
-    macros = np.unique(labels).tolist()
-    colours, names = [macro_colour(macro) for macro in macros], [f"macro-action {macro}" for macro in macros]
-    for number, name in {} if truth is None else class_names(truth, truth_classes).items():
-        colours.append(GREYS[number % len(GREYS)])
-        names.append(f"{true_name(truth_name)} {number}" if name == str(number) else f"true: {name}")
     legend(figure, colours, names, confidence is not None)
     set_title(figure, title)
     return figure
@@ -163,6 +165,39 @@ def _count_frames(axis: Axes, count: int) -> None:
     axis.tick_params(axis="x", bottom=True, labelbottom=True)
     axis.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     axis.set_xlabel("frame")
+
+
+def _true_strip(axis: Axes, truth: Int[np.ndarray, " frames"], classes: Mapping[int, str]) -> None:
+    draw_strip(axis, truth, GREYS, 0.0, 1.0)
+    write_names(axis, truth, GREYS, classes)
+    _dashed(axis, truth)
+
+
+def _found_strip(
+    labels: Int[np.ndarray, " frames"],
+    confidence: Float[np.ndarray, " frames"] | None,
+    truth: Int[np.ndarray, " frames"] | None,
+    axis: Axes,
+) -> None:
+    draw_strip(axis, labels, PALETTE, 0.0, 1.0, confidence)
+    write_names(axis, labels, PALETTE, {}, confidence)
+    if truth is not None:
+        _dashed(axis, truth)
+
+
+def _meaning(
+    actions: Int[np.ndarray, " frames"] | Sequence[Line],
+    action_names: Sequence[str],
+    classes: Mapping[int, str],
+) -> tuple[list[str], list[str]]:
+    """The colours of a timeline's legend and what they mean: actions, and true classes that have names."""
+    used = np.unique(actions).tolist() if isinstance(actions, np.ndarray) else []
+    colours = [ACTIONS[action % len(ACTIONS)] for action in used]
+    names = [action_names[action] if action < len(action_names) else f"action {action}" for action in used]
+    if any(name != str(number) for number, name in classes.items()):
+        colours += [GREYS[number % len(GREYS)] for number in classes]
+        names += [f"{number}: {name}" for number, name in classes.items()]
+    return colours, names
 
 
 def _dashed(axis: Axes, truth: Int[np.ndarray, " frames"]) -> None:
