@@ -189,7 +189,7 @@ def _open(path: Path) -> pq.ParquetFile:
     if not path.is_file():
         raise DatasetError(f"{path}: is missing; {HALF_COPIED}")
     try:
-        return pq.ParquetFile(pa.OSFile(str(path)))  # a path as text may be taken for a URI
+        return pq.ParquetFile(path)
     except (OSError, pa.ArrowException) as error:
         raise _damaged(path, error) from error
 
