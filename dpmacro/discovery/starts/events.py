@@ -11,9 +11,7 @@ __all__ = ["jumps", "named", "shifts", "slow_moments"]
 RESTING = 5  # dimensions that rest most are cut at
 
 
-def jumps(
-    evidence: Evidence, restarts: int, generator: torch.Generator
-) -> Int64[Tensor, "restarts frames"]:
+def jumps(evidence: Evidence, restarts: int, generator: torch.Generator) -> Int64[Tensor, "restarts frames"]:
     """Cuts where a dimension that mostly rests, like a gripper's, changes most within a few frames.
 
     Dimensions are those of actions and the components; how much one rests is told by the participation
@@ -37,9 +35,7 @@ def jumps(
     return _stacked(starts, evidence)
 
 
-def shifts(
-    evidence: Evidence, restarts: int, generator: torch.Generator
-) -> Int64[Tensor, "restarts frames"]:
+def shifts(evidence: Evidence, restarts: int, generator: torch.Generator) -> Int64[Tensor, "restarts frames"]:
     """Cuts where the mean of the frames after differs most from that of the frames before.
 
     Every restart draws a half of the dimensions of actions and components, and a window of one frame up to
@@ -94,7 +90,11 @@ def named(
 
 
 def _shifted(
-    evidence: Evidence, values: Float[Tensor, "frames dims"], width: int, alike: bool, generator: torch.Generator
+    evidence: Evidence,
+    values: Float[Tensor, "frames dims"],
+    width: int,
+    alike: bool,
+    generator: torch.Generator,
 ) -> Int64[Tensor, " frames"]:
     """Cuts where the means of `width` frames after and before differ most."""
     after = window_means(values, evidence.lengths, 0, width)

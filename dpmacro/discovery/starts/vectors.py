@@ -38,7 +38,10 @@ def vector_starts(
     bounds = evidence.macros, evidence.max_transitions
     kinds: dict[str, Callable[[int], Tensor]] = {
         "random": lambda n: torch.cat(
-            [uniform_cuts(evidence.lengths, *bounds)[:n], random_cuts(evidence.lengths, max(n - 1, 0), *bounds, generator)]
+            [
+                uniform_cuts(evidence.lengths, *bounds)[:n],
+                random_cuts(evidence.lengths, max(n - 1, 0), *bounds, generator),
+            ]
         ),
         "peaks": lambda n: feature_peaks(levels, evidence.lengths, n, *bounds, generator),
         "jumps": lambda n: jumps(evidence, n, generator),
