@@ -47,7 +47,7 @@ class Demonstrations:
     actions: Actions
     lengths: Int64[np.ndarray, " trajectories"]
     action_names: tuple[str, ...]
-    fps: float
+    fps: int | float
     truth: Int64[np.ndarray, " frames"] | None
     world: dict[str, Any]
     root: Path

@@ -20,12 +20,25 @@ from dpmacro.discovery.criteria import best_candidate
 from dpmacro.discovery.refinement import recut, simplified
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.settings import SearchSettings
-from dpmacro.discovery.starts import action_events, feature_peaks, initial_segmentations, random_cuts
+from dpmacro.discovery.starts import (
+    Evidence,
+    Moments,
+    action_events,
+    chained,
+    feature_peaks,
+    initial_segmentations,
+    linear_alternation,
+    principal,
+    random_cuts,
+    vector_starts,
+)
 from dpmacro.features.levels import SortedLevels
 
 __all__ = ["adopt", "discover"]
 
 PEAKS = 2  # candidates a restart that are cut at feature peaks, with two macro-actions; fewer with more
+COMPONENTS = 12
+TABLE = 2**23  # scores that stand in memory together
 
 
 def discover(
@@ -48,7 +61,8 @@ def discover(
     """
     paper = settings.criterion == "loss"
     tasks = [task] if settings.starts == "random" else _smaller(task)
-    parts = [_alternated(data, one, settings, restarts, shrinkage, on_round) for one in tasks]
+    search = _raced if task.actions.ndim == 2 and settings.starts != "random" else _alternated
+    parts = [search(data, one, settings, restarts, shrinkage, on_round) for one in tasks]
     alternated = pooled(parts)
     if paper:
         least = alternated.labels[alternated.loss[-1].argmin()]
@@ -84,6 +98,61 @@ def _alternated(
         starts = random_cuts(task.lengths, *bounds)
     else:
         starts = initial_segmentations(data.levels, task.actions, task.lengths, *bounds)
+    if task.order == "chain":
+        starts = chained(starts, task.lengths, task.macros)
+    return _boosted(data, task, starts, settings, shrinkage, generator, on_round)
+
+
+def _raced(
+    data: SortedLevels,
+    task: Task,
+    settings: SearchSettings,
+    restarts: int,
+    shrinkage: float,
+    on_round: Callable[[Round], None],
+) -> Alternated:
+    """The alternation from the starts of vectors that did best in a short one."""
+    generator = torch.Generator().manual_seed(task.seed)
+    evidence = Evidence(
+        task.actions.cpu(),
+        principal(data.levels, COMPONENTS, generator),
+        task.lengths,
+        task.macros,
+        task.max_transitions,
+        task.order == "chain",
+    )
+    moments = Moments(evidence)
+    starts = torch.cat(list(vector_starts(data.levels, evidence, moments, 2 * restarts, generator).values()))
+    linear = linear_alternation(evidence, starts, moments)
+    ended = linear.labels[linear.loss.argsort()]
+    ended = ended[distinct(ended)][: (restarts + 1) // 2]
+    raw = starts[torch.randperm(len(starts), generator=generator)[: restarts // 2]]
+    entrants = torch.cat([ended, raw])
+    short = replace(settings, rounds=25, warmup=3, drawn=24)
+    parts = [
+        _boosted(data, task, group, short, shrinkage, generator, on_round)
+        for group in entrants.split(_at_a_time(task))
+    ]
+    raced = pooled(parts)
+    order = raced.labels[raced.loss[-1].argsort()]
+    survivors = order[distinct(order)][: max(restarts // 5, 1)]
+    return _boosted(data, task, survivors, settings, shrinkage, generator, on_round)
+
+
+def _at_a_time(task: Task) -> int:
+    """Starts whose scores stand in memory together."""
+    return max(TABLE // (task.actions.numel() * task.macros), 1)
+
+
+def _boosted(
+    data: SortedLevels,
+    task: Task,
+    starts: Int64[Tensor, "restarts frames"],
+    settings: SearchSettings,
+    shrinkage: float,
+    generator: torch.Generator,
+    on_round: Callable[[Round], None],
+) -> Alternated:
     learner = StumpLearner(data, drawn=settings.drawn)
     targets, n_problems = task.loss.targets(task.actions), len(starts) * task.macros
     boosting = Boosting(learner, targets, n_problems, shrinkage, generator, loss=task.loss)
@@ -108,7 +177,9 @@ def _scored(
     order = alternated.loss[-1].argsort()
     generator = torch.Generator().manual_seed(task.seed)
     bounds = task.macros, task.max_transitions
-    events = action_events(task.actions, task.lengths, restarts // 4, *bounds, generator)
+    events = alternated.labels[:0]
+    if task.actions.ndim == 1:
+        events = action_events(task.actions, task.lengths, restarts // 4, *bounds, generator)
     peaks = [
         feature_peaks(
             data.levels,
@@ -121,7 +192,10 @@ def _scored(
         )
         for smaller in _smaller(task)
     ]
-    labels = torch.cat([alternated.labels[order], events, *peaks])
+    others = torch.cat([events, *peaks])
+    if task.order == "chain":
+        others = chained(others, task.lengths, task.macros)
+    labels = torch.cat([alternated.labels[order], others])
     scored = score_candidates(data, task, labels[distinct(labels)], on_round)
     if settings.switch_weight > 0 and task.n_groups > 1:
         scored = recut(scored, data, task, settings.switch_weight, on_round)
@@ -130,6 +204,8 @@ def _scored(
 
 def _smaller(task: Task) -> list[Task]:
     """The task with 2, 3, ... macro-actions and so many transitions as they need, up to the whole."""
+    if task.order == "chain":
+        return [task]
     bound = task.max_transitions
     fewer = [replace(task, macros=n, max_transitions=min(n - 1, bound)) for n in range(2, task.macros)]
     return [*fewer, task]

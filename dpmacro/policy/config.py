@@ -132,6 +132,6 @@ def read_config(path: Path) -> PolicyConfig:
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
-            f"{path} is no policy of dpmacro, or of an earlier version ({error}): give a folder that train.py "
-            "wrote, or train it again"
+            f"{path} is no policy of dpmacro, or of an earlier version ({error}): give a folder that "
+            "train.py wrote, or train it again"
         ) from error

@@ -30,6 +30,7 @@ __all__ = ["Columns", "TrainingData", "state_key"]
 
 TASK = "task_index"
 WINDOW = 0.5  # seconds of the longer change of a state
+EPISODES = 5  # demonstrations of a task, on average, for it to be an input
 PAIRS = 512  # differences of two numbers of a state, at most
 MIRRORED = 3  # images for one while networks get mirror images: the mirror image, and both in one tensor
 TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
@@ -157,13 +158,14 @@ def _targets(
 
 
 def _spec(demonstrations: Demonstrations) -> ObservationSpec:
-    """What a frame shows; numbers that never vary are left out."""
+    """What a frame shows, without numbers that never vary, and without tasks that are done too seldom."""
     spec: dict[str, CameraSpec | StateSpec | TaskSpec] = {}
     for key, values in demonstrations.observations.items():
         if values.ndim == 4:
             spec[key] = CameraSpec(*values.shape[1:3])
         elif key == TASK:
-            spec[key] = TaskSpec(max(len(demonstrations.tasks), int(values.max()) + 1))
+            if len(np.unique(values)) * EPISODES <= len(demonstrations.lengths):
+                spec[key] = TaskSpec(max(len(demonstrations.tasks), int(values.max()) + 1))
         else:
             varies = np.flatnonzero(values.max(0) > values.min(0))
             names = demonstrations.state_names.get(key, tuple(map(str, range(values.shape[1]))))

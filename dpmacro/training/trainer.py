@@ -183,6 +183,7 @@ class Trainer:
 
     def _policy(self, columns: Columns, found: DPBoostResult) -> MacroPolicy:
         demonstrations, planner, transform = self.demonstrations, self.options.planner, self.data.transform
+        state = state_key(demonstrations) if transform is not None and transform.relative else ""
         odds = [] if found.terms is None else found.terms.log_odds.tolist()
         config = PolicyConfig(
             type=planner.type,
@@ -191,13 +192,14 @@ class Trainer:
             inputs={
                 key: InputConfig(values.shape[1:], demonstrations.stored_shapes.get(key))
                 for key, values in demonstrations.observations.items()
+                if key in (*columns.encoder.keys, state)
             },
             encoder=columns.encoder.spec(),
             action_names=demonstrations.action_names,
             outputs=self.data.outputs,
             loss=CLASSES if transform is None else planner.loss,
             action_transform=None if transform is None else transform.to_dict(),
-            action_state=state_key(demonstrations) if transform is not None and transform.relative else "",
+            action_state=state,
             switches=found.switches.pairs,
             thresholds=tuple(found.switches.thresholds.tolist()),
             cues=found.switches.cues,

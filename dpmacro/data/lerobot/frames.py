@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Int64
 
 from dpmacro.data.images import DatasetError, FrameBuffer
 from dpmacro.data.lerobot.decoding import (
@@ -21,7 +22,7 @@ from dpmacro.data.lerobot.decoding import (
 from dpmacro.data.lerobot.layout import StoredEpisode, Video
 from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
-from dpmacro.data.lerobot.tables import read_table, to_cells
+from dpmacro.data.lerobot.tables import read_batches, read_table, to_cells
 
 __all__ = ["TOLERANCE", "fill", "is_depth", "picture"]
 
@@ -46,7 +47,7 @@ def picture(store: StoredDataset, camera: str, episodes: Sequence[StoredEpisode]
     cell = _cells(read_table(part.path, [camera], row), camera, part.path)[0]
     found = probe_image(_content(cell, store.root, part.path))
     if found is None:
-        raise _no_image(store, camera, 0, cell)
+        raise _no_image(f"dataset {store.root}, {camera}", 0, cell)
     return found
 
 
@@ -68,20 +69,24 @@ def fill(
         decode_videos(_clips(store, camera, episodes, rows, tolerance), buffer.put)
         return
     for part in rows.parts:
-        cells = _cells(read_table(part.path, [camera], part.rows), camera, part.path)
-
-        def put(start: int, cells: list[Any] = cells, part: Any = part) -> None:
-            for cell, place in zip(
-                cells[start : start + BLOCK], part.places[start : start + BLOCK], strict=True
-            ):
-                image = decode_image(_content(cell, store.root, part.path))
-                if image is None:
-                    raise _no_image(store, camera, int(place), cell)
-                buffer.put(int(place), image)
-
-        in_threads(put, range(0, len(cells), BLOCK))
-        del cells, put
+        for some, table in read_batches(part.path, [camera], part.rows):
+            cells = _cells(table, camera, part.path)
+            _put_images(buffer, store.root, part.path, cells, part.places[some])
+            del cells, table
         pa.default_memory_pool().release_unused()  # Arrow would keep the memory of the encoded ones
+
+
+def _put_images(
+    buffer: FrameBuffer, root: Path, table: Path, cells: list[Any], places: Int64[np.ndarray, " frames"]
+) -> None:
+    def put(start: int) -> None:
+        for place in range(start, min(start + BLOCK, len(cells))):
+            image = decode_image(_content(cells[place], root, table))
+            if image is None:
+                raise _no_image(buffer.name, int(places[place]), cells[place])
+            buffer.put(int(places[place]), image)
+
+    in_threads(put, range(0, len(cells), BLOCK))
 
 
 def _clips(
@@ -141,8 +146,6 @@ def _content(cell: Any, root: Path, table: Path) -> Any:
     return b"" if cell is None else cell
 
 
-def _no_image(store: StoredDataset, camera: str, place: int, cell: Any) -> DatasetError:
+def _no_image(name: str, place: int, cell: Any) -> DatasetError:
     what = f"damaged or missing (no file {cell})" if isinstance(cell, str) else "damaged"
-    return DatasetError(
-        f"dataset {store.root}, {camera}: the image of frame {place} is {what}; record the dataset again"
-    )
+    return DatasetError(f"{name}: the image of frame {place} is {what}; record the dataset again")

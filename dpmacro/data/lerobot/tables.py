@@ -1,7 +1,7 @@
 """Files of a dataset -> Python and NumPy: JSON, JSON lines, and checked columns of parquet files."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,18 @@ from jaxtyping import Int64
 
 from dpmacro.data.images import DatasetError
 
-__all__ = ["column_names", "read_json", "read_json_lines", "read_rows", "read_table", "to_cells", "to_numpy"]
+__all__ = [
+    "column_names",
+    "read_batches",
+    "read_json",
+    "read_json_lines",
+    "read_rows",
+    "read_table",
+    "to_cells",
+    "to_numpy",
+]
 
+BATCH = 512  # rows of images that are held encoded, where row groups are not larger
 HALF_COPIED = "the dataset is half-copied or half-written"
 _LISTS = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
 
@@ -60,15 +70,28 @@ def read_table(path: Path, names: Sequence[str] | None = None, rows: Any = None)
         columns = None if names is None else list(names)
         if rows is None:
             return file.read(columns=columns)
-        sizes = [file.metadata.row_group(group).num_rows for group in range(file.num_row_groups)]
-        starts = np.cumsum([0, *sizes])
+        starts = _starts(file)
         group_of = np.searchsorted(starts, rows, "right") - 1
         groups = np.unique(group_of)
-        first = np.cumsum([0, *(sizes[group] for group in groups)])[:-1]  # of each in what is read
+        first = np.cumsum([0, *np.diff(starts)[groups]])[:-1]  # of each in what is read
         table = file.read_row_groups(groups.tolist(), columns=columns)
-        return table.take(pa.array(first[np.searchsorted(groups, group_of)] + rows - starts[group_of]))
+        wanted = first[np.searchsorted(groups, group_of)] + rows - starts[group_of]
+        return table if np.array_equal(wanted, np.arange(len(table))) else table.take(pa.array(wanted))
     except (OSError, pa.ArrowException) as error:
         raise _damaged(path, error) from error
+
+
+def read_batches(
+    path: Path, names: Sequence[str], rows: Int64[np.ndarray, " rows"], most: int = BATCH
+) -> Iterator[tuple[Int64[np.ndarray, " some"], pa.Table]]:
+    """The named columns by whole row groups of about `most` rows: places in `rows`, and what stands there."""
+    group_of = np.searchsorted(_starts(_open(path)), rows, "right") - 1
+    order, cuts = np.argsort(group_of, kind="stable"), [0]
+    for place in (np.flatnonzero(np.diff(group_of[order])) + 1).tolist():
+        if place - cuts[-1] >= most:
+            cuts.append(place)
+    for some in np.split(order, cuts[1:]):
+        yield some, read_table(path, names, rows[some])
 
 
 def read_rows(path: Path, without: str = "stats/") -> list[dict[str, Any]]:
@@ -156,11 +179,17 @@ def _refuse_ragged(values: pa.ChunkedArray, where: str, frames: np.ndarray, rows
         )
 
 
+def _starts(file: pq.ParquetFile) -> Int64[np.ndarray, " groups_and_one"]:
+    """The first row of every row group, and the number of all rows."""
+    sizes = [file.metadata.row_group(group).num_rows for group in range(file.num_row_groups)]
+    return np.cumsum([0, *sizes])
+
+
 def _open(path: Path) -> pq.ParquetFile:
     if not path.is_file():
         raise DatasetError(f"{path}: is missing; {HALF_COPIED}")
     try:
-        return pq.ParquetFile(pa.OSFile(str(path)))  # a path as text may be taken for a URI
+        return pq.ParquetFile(path)
     except (OSError, pa.ArrowException) as error:
         raise _damaged(path, error) from error
 

@@ -222,6 +222,8 @@ FILMS = {
     "float64 timestamps": ({}, table_of(timestamp=np.concatenate([np.arange(n) / 10 for n in LENGTHS]))),
     "a drift within the tolerance": ({}, starts(0.00009, 0.50009)),
     "no template": ({}, lambda root: edit_info(root, video_path=None)),
+    "v2.1": ({}, as_v2),
+    "v2.1 that says v3.0": ({}, lambda root: as_v2(root, "v3.0")),
 }
 
 
