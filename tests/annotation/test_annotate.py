@@ -124,6 +124,38 @@ def test_the_labels_are_those_of_the_training_where_switch_costs_joined():
     assert not torch.equal(annotate(by_actions, demonstrations).labels, found.labels)
 
 
+def vectors_with_a_rule(seed=0):
+    """The first number of the state decides before a hidden change, the second one after it."""
+    rng = np.random.default_rng(seed)
+    state = rng.normal(size=(LENGTHS.sum(), 2)).astype(np.float32)
+    rule = np.concatenate([np.arange(length) >= length // 2 for length in LENGTHS]).astype(int)
+    told = np.sign(state[np.arange(len(rule)), rule])
+    actions = np.column_stack([told, -2 * told + rule, np.full(len(rule), 7)]).astype(np.float32)
+    return Demonstrations(
+        {STATE: state},
+        actions,
+        LENGTHS,
+        ("dx", "gripper", "never moves"),
+        10.0,
+        rule,
+        {},
+        Path("data/some"),
+        state_names={STATE: ("x", "y")},
+    )
+
+
+def test_the_labels_of_vectors_are_those_of_the_training():
+    demonstrations = vectors_with_a_rule()
+    policy, found = train(demonstrations, switch_weight=0.0)
+    seen = annotate(policy, demonstrations)
+    assert found.macros == 2 and torch.equal(seen.labels, found.labels)
+    assert float(seen.cost_by_bound[:, -1].sum()) / len(found.labels) == pytest.approx(
+        float(found.loss[-1]), rel=1e-4
+    )
+    agrees = (seen.labels.numpy() == demonstrations.truth).mean()
+    assert max(agrees, 1 - agrees) > 0.9
+
+
 def lit_after_an_action(n=10, length=60):
     """Demonstrations that change where a picture lights up right after action 1; others light up in vain.
 
@@ -296,6 +328,16 @@ def test_a_baseline_is_sure_of_its_only_label():
             r"data/some has the actions 0, 1, 2, 3, 4: the policy knows forward",
         ),
         ({}, -1, "max_transitions is -1"),
+        (
+            {"observations": {STATE: np.zeros((100, 2), np.float32)}},
+            None,
+            r"data/some has no observation.image, which the policy sees: it has observation.state",
+        ),
+        (
+            {"actions": np.zeros((100, 4), np.float32)},
+            None,
+            r"data/some has actions that are vectors: those of the policy are classes",
+        ),
     ],
 )
 def test_what_does_not_fit_is_named_in_a_line(trained, change, bound, message):

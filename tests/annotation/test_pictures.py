@@ -5,9 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from segmented import IMAGE, SHAPE, random_policy, some_summary
+from segmented import FRONT, IMAGE, SHAPE, STATE, TASK, TOP, random_policy, some_summary
 
-from dpmacro.annotation.pictures import chosen_pixels, importances, mean_images, picture_count, pictures
+from dpmacro.annotation.pictures import (
+    chosen_columns,
+    chosen_pixels,
+    importances,
+    mean_images,
+    picture_count,
+    pictures,
+)
 from dpmacro.boosting.learners.convnet import ConvNetClassifier
 from dpmacro.features.kinds import FEATURES
 
@@ -47,6 +54,56 @@ def test_what_cannot_be_drawn_is_left_out():
         "demonstration_004",
     ]
     assert picture_count(summary, 1) == 3
+
+
+@pytest.mark.parametrize(
+    ("keys", "looked_at", "rows"),
+    [
+        ((STATE,), ["columns"], ["true phase", "macro-action"]),
+        ((TASK, STATE), ["columns"], ["true phase", "macro-action"]),
+        ((FRONT, TOP), ["pixels_images.front", "pixels_images.top"], ["front", "top", "true phase"]),
+        ((STATE, TOP), ["columns", "pixels"], ["seen", "true phase", "macro-action"]),
+    ],
+)
+@pytest.mark.parametrize("vector", [False, True])
+def test_pictures_of_any_inputs_and_actions(keys, looked_at, rows, vector):
+    summary = some_summary(keys=keys, vector=vector)
+    made = list(pictures(summary, 1))
+    wanted = [name.replace("images.", "") for name in looked_at]
+    names = ["segmentation", "transitions", "elbow", *wanted, "demonstration_004"]
+    assert [picture.name for picture in made] == names and picture_count(summary, 1) == len(made)
+    shown = [axis.get_ylabel() for axis in made[-1].figure.axes]
+    assert shown[: len(rows)] == rows
+    assert shown[-1] == ("dy" if vector else "action") and ("gripper" in shown) == vector
+    assert ("standard deviations" in made[-1].caption) == vector
+    assert {picture.heading for picture in made[3:-1]} == {"What the classifiers look at"}
+
+
+def test_columns_and_cameras_share_the_steps_of_the_votes():
+    policy = random_policy(keys=(TOP, STATE))
+    steps = policy.actor.votes.diff(dim=2).abs().sum((0, 2, 3))
+    told = chosen_columns(policy)
+    assert [sum(own.values()) for own in told] == pytest.approx(steps.tolist(), rel=1e-5)
+    (maps,) = chosen_pixels(policy).values()
+    assert [own["camera top"] for own in told] == pytest.approx(maps.sum((1, 2)).tolist())
+    names, weights = policy.features.names(), importances(policy)
+    for macro, own in enumerate(told):
+        for name, weight in own.items():
+            assert name == "camera top" or weight == pytest.approx(weights[macro, names.index(name)])
+    assert {name for own in told for name in own} == {"camera top", *names[-len(told[0]) + 1 :]}
+
+
+def test_columns_are_told_only_where_some_have_no_pixels():
+    assert chosen_columns(random_policy(keys=(FRONT, TOP))) == []
+    assert chosen_columns(replace(random_policy(keys=(STATE,)), actor=network())) == []
+    assert chosen_pixels(random_policy(keys=(STATE,))) == {}
+
+
+def test_a_camera_that_no_stump_looks_at_has_no_map():
+    policy = random_policy(keys=(STATE, TOP))
+    blind = (~policy.features.sees_pixels).nonzero()[:, 0]
+    away = replace(policy.actor, columns=blind[policy.actor.columns % len(blind)])
+    assert chosen_pixels(replace(policy, actor=away)) == {}
 
 
 @pytest.mark.parametrize("kind", FEATURES)
