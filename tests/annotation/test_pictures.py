@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from segmented import SHAPE, random_policy, some_summary
+from segmented import IMAGE, SHAPE, random_policy, some_summary
 
-from dpmacro.annotation.pictures import chosen_pixels, mean_images, picture_count, pictures
+from dpmacro.annotation.pictures import chosen_pixels, importances, mean_images, picture_count, pictures
 from dpmacro.boosting.learners.convnet import ConvNetClassifier
 from dpmacro.features.kinds import FEATURES
 
@@ -40,7 +40,7 @@ def test_what_cannot_be_drawn_is_left_out():
     summary = some_summary(truth=False, bounds=1)
     networks = replace(summary.policy, actor=network())
     summary = replace(summary, policy=networks)
-    assert chosen_pixels(networks) is None
+    assert chosen_pixels(networks) == {} and importances(networks) is None
     assert [picture.name for picture in pictures(summary, 1)] == [
         "segmentation",
         "transitions",
@@ -52,7 +52,7 @@ def test_what_cannot_be_drawn_is_left_out():
 @pytest.mark.parametrize("kind", FEATURES)
 def test_chosen_pixels_add_up_to_the_steps_of_the_votes(kind):
     policy = random_policy(kind)
-    weights = chosen_pixels(policy)
+    (weights,) = chosen_pixels(policy).values()
     steps = policy.actor.votes.diff(dim=2).abs().sum((0, 2, 3))
     assert weights.shape == (3, *SHAPE) and (weights >= 0).all()
     np.testing.assert_allclose(weights.sum((1, 2)), steps, rtol=1e-5)
@@ -64,7 +64,7 @@ def test_a_pixel_that_no_stump_looks_at_weighs_nothing():
     for problem in range(3):
         places = policy.features.places[policy.actor.columns[:, problem]] % looked_at.shape[1]
         looked_at[problem, places] = True
-    assert ((chosen_pixels(policy) > 0).reshape(3, -1) == looked_at.numpy()).all()
+    assert ((chosen_pixels(policy)[IMAGE] > 0).reshape(3, -1) == looked_at.numpy()).all()
 
 
 def test_mean_images_are_those_of_the_frames_held():

@@ -61,7 +61,7 @@ def test_pictures_numbers_and_events(folder):
 
 
 def test_without_truth_or_stumps_the_page_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr("dpmacro.annotation.report.chosen_pixels", lambda policy: None)
+    monkeypatch.setattr("dpmacro.annotation.report.importances", lambda policy: None)
     summary = some_summary(truth=False)
     write_report(summary, iter([]), tmp_path)
     text = "".join(Reader((tmp_path / "segmentation.html").read_text()).texts)
