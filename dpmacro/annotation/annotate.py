@@ -42,7 +42,7 @@ def annotate(
     Args:
         policy: from a training run.
         demonstrations: with the policy's inputs and actions.
-        max_transitions: S; by default the one that the policy was trained with.
+        max_transitions: S; by default the one that the policy was trained with. A chain has no other.
 
     Raises ValueError where inputs or actions are not those of the policy. Actions without names are its first
     ones.
@@ -53,8 +53,8 @@ def annotate(
         max_transitions = config.macros - 1 if config.max_transitions is None else config.max_transitions
     lengths = torch.from_numpy(demonstrations.lengths)
     costs, changing = _costs(policy, demonstrations)
-    found = segment(costs, lengths, max_transitions, changing)
-    sure = margins(costs, lengths, max_transitions, found.labels, changing)
+    found = segment(costs, lengths, max_transitions, changing, config.order)
+    sure = margins(costs, lengths, max_transitions, found.labels, changing, config.order)
     confidence = -torch.expm1(-sure.clamp(min=0)).float()
     return Annotation(found.labels.cpu(), confidence.cpu(), found.cost_by_bound.cpu())
 

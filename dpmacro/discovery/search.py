@@ -158,7 +158,7 @@ def _boosted(
     boosting = Boosting(learner, targets, n_problems, shrinkage, generator, loss=task.loss)
     warmup = min(settings.warmup, settings.rounds // 2)
     given = boosting, task.actions, task.lengths, starts, task.macros, task.max_transitions
-    return alternate(*given, settings.rounds, warmup, "discover", on_round)
+    return alternate(*given, settings.rounds, warmup, "discover", on_round, order=task.order)
 
 
 def _scored(
@@ -199,7 +199,7 @@ def _scored(
     scored = score_candidates(data, task, labels[distinct(labels)], on_round)
     if settings.switch_weight > 0 and task.n_groups > 1:
         scored = recut(scored, data, task, settings.switch_weight, on_round)
-    return simplified(scored, data, task, on_round)
+    return scored if task.order == "chain" else simplified(scored, data, task, on_round)
 
 
 def _smaller(task: Task) -> list[Task]:
