@@ -88,8 +88,9 @@ def _parts(summary: Summary, shown: list[tuple[str, str]]) -> Iterator[str]:
 def _facts(summary: Summary) -> dict[str, str]:
     """What was segmented, and by what."""
     config, lengths = summary.policy.config, summary.lengths
-    bound, names = summary.bound, config.action_names
-    order = "chain: each once, one after the other" if config.order == "chain" else "free"
+    chain = config.order == "chain"
+    bound, names = config.macros - 1 if chain else len(summary.cost_by_bound) - 1, config.action_names
+    order = "chain: each once, one after the other" if chain else "free"
     facts = {
         **summary.sources,
         "demonstrations": f"{len(lengths)}, {int(lengths.sum()):,} frames",

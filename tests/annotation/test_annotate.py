@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from segmented import IMAGE, STATE, random_demonstrations, random_policy
+from segmented import IMAGE, random_demonstrations, random_policy
 
 from dpmacro.annotation import annotate as annotation
 from dpmacro.annotation.annotate import annotate
