@@ -113,7 +113,7 @@ class MacroPlanner:
         """The policy's inputs, a batch of one."""
         found = observed(observation, self.policy.config)
         return {
-            key: torch.from_numpy(np.ascontiguousarray(value))[None].to(self.policy.device)
+            key: torch.from_numpy(np.array(value))[None].to(self.policy.device)
             for key, value in found.items()
         }
 
