@@ -145,7 +145,7 @@ def test_a_world_may_use_gymnasiums_keys_as_lerobot_does():
     one = replace(policy.config, inputs={TOP: policy.config.inputs[TOP]})
     np.testing.assert_array_equal(observed({"pixels": now[TOP]}, one)[TOP], now[TOP])
     with pytest.raises(ValueError, match=r"the observation has no observation\.state: it has pixels"):
-        observed({"pixels": pixels}, policy.config)
+        observed({"pixels": as_gymnasium["pixels"]}, policy.config)
 
 
 def test_what_is_shown_must_have_the_size_of_the_training():
