@@ -72,7 +72,7 @@ class TrainingPictures:
 
     def _candidates(self, found: DPBoostResult) -> None:
         """The cost by bound of the final segmentation, and the scores of every candidate."""
-        if found.final is not None:
+        if found.final is not None and found.order == "free":  # a chain has one number of transitions
             cost, used = found.final.cost_by_bound.numpy(), found.final.max_transitions
             self.add("elbow", figures.elbow(cost, used, "Left-out data"))
         if found.discovery is None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from segmented import IMAGE, random_demonstrations, random_policy
+from segmented import IMAGE, STATE, random_demonstrations, random_policy
 
 from dpmacro.annotation import annotate as annotation
 from dpmacro.annotation.annotate import annotate
@@ -75,6 +75,7 @@ def train(demonstrations, macros=2, truth=None, **options):
         switches=switches.pairs,
         thresholds=tuple(switches.thresholds.tolist()),
         cues=switches.cues,
+        order=found.order,
         max_transitions=found.max_transitions,
         switch_weight=found.switch_weight,
         change_log_odds=tuple(map(tuple, odds)),
@@ -144,9 +145,10 @@ def vectors_with_a_rule(seed=0):
     )
 
 
-def test_the_labels_of_vectors_are_those_of_the_training():
+@pytest.mark.parametrize("order", ["free", "chain"])
+def test_the_labels_of_vectors_are_those_of_the_training(order):
     demonstrations = vectors_with_a_rule()
-    policy, found = train(demonstrations, switch_weight=0.0)
+    policy, found = train(demonstrations, switch_weight=0.0, order=order)
     seen = annotate(policy, demonstrations)
     assert found.macros == 2 and torch.equal(seen.labels, found.labels)
     assert float(seen.cost_by_bound[:, -1].sum()) / len(found.labels) == pytest.approx(

@@ -14,18 +14,22 @@ from tests.annotation.test_annotate import LENGTHS, train, vectors_with_a_rule
 CAMERAS = ("observation.images.front", "observation.images.top")
 
 
-@pytest.mark.parametrize("cameras", [(), CAMERAS[:1], CAMERAS])
-def test_a_training_on_vectors_shows_pictures_and_says_what_accuracy_is(cameras, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("cameras", "order"), [((), "free"), (CAMERAS[:1], "free"), (CAMERAS, "chain")])
+def test_a_training_on_vectors_shows_pictures_and_says_what_accuracy_is(
+    cameras, order, tmp_path, monkeypatch
+):
     shown = {}
     monkeypatch.setattr(figures, "save", lambda figure, path: shown.update({path.stem: figure}))
     rng = np.random.default_rng(0)
     seen = {camera: rng.integers(0, 256, (LENGTHS.sum(), 6, 8, 3), np.uint8) for camera in cameras}
     demonstrations = vectors_with_a_rule()
     demonstrations = replace(demonstrations, observations={**demonstrations.observations, **seen})
-    policy, found = train(demonstrations, rounds=5, restarts=2, switch_rounds=2, switch_weight=0.0)
+    given = {"rounds": 5, "restarts": 2, "switch_rounds": 2, "switch_weight": 0.0, "order": order}
+    policy, found = train(demonstrations, **given)
     with SummaryWriter(str(tmp_path)) as writer:
         TrainingPictures(writer, tmp_path).show(demonstrations, policy, found)
     assert {"timeline", "objective", "segmentation", "transitions", "columns"} <= set(shown)
+    assert ("elbow" in shown) == (order == "free")
     maps = {"pixels"} if len(cameras) == 1 else {"pixels_front", "pixels_top"}
     assert {name for name in shown if name.startswith("pixels")} <= (maps if cameras else set())
     rows = [axis.get_ylabel() for axis in shown["timeline"].axes]
