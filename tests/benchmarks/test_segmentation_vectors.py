@@ -141,7 +141,24 @@ def test_a_peer_bears_what_is_unusual(method, kind):
     segmentation_scores(found.labels, source.truth, source.lengths, 1)
 
 
-@pytest.mark.parametrize("method", [*CUTTING[:4]])
+@pytest.mark.benchmark
+def test_with_a_floor_actions_may_be_an_exact_function_and_columns_equal():
+    pytest.importorskip("dynamax")
+    from segmentation_dynamax import linear_regression
+
+    source = planted("rule")
+    rules = np.random.default_rng(1).normal(size=(3, 3, 2))
+    exact = np.einsum("ni,nij->nj", source.frames.astype(float), rules[source.truth])
+    exact = np.column_stack([exact, source.truth == 1])  # constant in every macro-action
+    twice = np.hstack([source.frames, source.frames]).astype(float)
+    sticky = np.where(np.eye(3, dtype=bool), 0.96, 0.02)
+    given = twice, exact, source.lengths, [source.truth], sticky, 3
+    found = linear_regression(*given, floor=0.01)
+    assert found is not None and scores(source, found).accuracy > 0.99
+    assert linear_regression(*given, floor=0.0) is None
+
+
+@pytest.mark.parametrize("method", CUTTING[:4])
 def test_what_cuts_vectors_has_no_answer_for_classes(method):
     source = planted("means")
     classes = replace(source, actions=source.truth, gripper=None)
