@@ -107,13 +107,13 @@ def line_errors(states: np.ndarray) -> np.ndarray:
 def slowest(speed: np.ndarray, count: int, apart: int, taken: Sequence[int] = ()) -> np.ndarray:
     """`taken` and the slowest frames besides, up to `count` in all, ascending; never frame 0.
 
-    They are `apart` frames from one another, from the first frame and from the last; where the trajectory is
+    They are `apart` frames from one another, from the first frame and from the end; where the trajectory is
     too short for that, half as far, and so on.
     """
     found = list(taken)
     while len(found) < count and apart > 0:
         found = list(taken)
-        for frame in np.argsort(speed[apart : len(speed) - apart], kind="stable") + apart:
+        for frame in np.argsort(speed[apart : len(speed) - apart + 1], kind="stable") + apart:
             if len(found) >= count:
                 break
             if all(abs(frame - other) >= apart for other in found):

@@ -90,6 +90,9 @@ def autoregressive_hmm(source: Source, seed: int, quick: bool) -> Found:
     """
     from segmentation_dynamax import autoregression
 
+    if source.macros == 1:
+        return _nothing_to_tell(source)
+
     def found() -> Iterator[Found]:
         for setting in settings(source, quick, MIXED):
             if setting.dimensions == ALL:  # linear in one another
@@ -114,6 +117,9 @@ def regression_hmm(source: Source, seed: int, quick: bool) -> Found:
     `gaussian_hmm`.
     """
     from segmentation_dynamax import linear_regression, regression
+
+    if source.macros == 1:
+        return _nothing_to_tell(source)
 
     def found() -> Iterator[Found]:
         for dimensions in QUICK_DIMENSIONS if quick else DIMENSIONS:
@@ -197,6 +203,11 @@ PEERS: dict[str, Callable[[Source, int, bool], Found]] = {
     "uniform cuts": uniform,
     "random cuts": random,
 }
+
+
+def _nothing_to_tell(source: Source) -> Found:
+    """The labels where there is one macro-action, of which dynamax makes no model."""
+    return Found(np.zeros_like(source.truth), "one macro-action")
 
 
 def _floors(quick: bool) -> tuple[float, ...]:

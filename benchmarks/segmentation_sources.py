@@ -198,6 +198,8 @@ def _whitened(values: np.ndarray) -> np.ndarray:
     """Principal components by a randomised solver, those without variance left out."""
     from sklearn.decomposition import PCA
 
+    if not values.shape[1]:
+        return np.zeros(values.shape)
     count = min(COMPONENTS, *values.shape)
     found = PCA(count, svd_solver="randomized", random_state=0).fit(values)
     kept = found.explained_variance_ > 1e-6 * found.explained_variance_[0]
