@@ -33,11 +33,13 @@ from segmentation_sources import (
 from segmentation_vectors import missing_folders, vector_sources
 from tqdm import tqdm
 
+from dpmacro.data.vectors import ActionTransform
 from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.features.columns import prepare
-from dpmacro.features.kinds import make_features
+from dpmacro.features.kinds import StateSpec, make_encoder, make_features
 from dpmacro.features.memory import Plan
 from dpmacro.metrics import segmentation_scores
+from dpmacro.training.data import PAIRS
 from dpmacro.training.options import PlannerOptions
 from dpmacro.utils import cli
 from dpmacro.utils.files import replacing
@@ -61,6 +63,7 @@ COLUMNS = {  # metric: heading
     "ari": "ARI",
     "segments": "segments",
 }
+STATE, WINDOW = "observation.state", 5  # frames of a state's longer change
 COUNTS = ("segments", "true_segments")
 ALL_TOLERANCES = TOLERANCES | VECTOR_TOLERANCES
 KEY = ("source", "case", "data", "seed", "method")
@@ -71,23 +74,32 @@ Row = dict[str, Any]
 def dpmacro(source: Source, seed: int, quick: bool) -> Found:
     """DPBoost as train.py runs it by default, told Q and the largest number of changes in a trajectory.
 
-    Images become the default's rectangles; numbers are taken as they are. Raises NotApplicableError where
-    actions are vectors, which it cannot learn yet: it is to see `vector_columns(source)` then.
+    Images become the default's rectangles; numbers beside classes are taken as they are. Where actions are
+    vectors the numbers are a state, and become its columns, and actions are learned as train.py would.
     """
-    if source.vectors:
-        raise NotApplicableError("dpmacro learns no vectors yet")
     macros, bound = source.macros, max(source.changes)
     small: dict[str, Any] = {"rounds": 10, "restarts": 4, "switch_rounds": 20} if quick else {}
     dpboost = DPBoost(macros=macros, max_transitions=bound, seed=seed, **small)
-    if source.frames.ndim == 2:
+    lengths, generator = torch.from_numpy(source.lengths), torch.Generator().manual_seed(seed)
+    if source.vectors:
+        names = tuple(map(str, range(source.frames.shape[1])))
+        varying = tuple(np.flatnonzero(np.ptp(source.frames, 0) > 0).tolist())
+        spec = {STATE: StateSpec(names, varying)}
+        encoder = make_encoder(spec, "rectangles", 1, WINDOW, PAIRS, generator)
+        plan = Plan(encoder.count, encoder.count, 0, PlannerOptions().memory_limit)
+        seen = {STATE: torch.from_numpy(source.frames)}
+        data = prepare(seen, lengths, encoder, plan, generator)[2]
+        transform = ActionTransform.fit(source.actions, source.lengths, source.frames)
+        targets = transform.targets(source.actions, source.frames)
+        labels = dpboost.fit_levels(data, targets, source.lengths).labels
+    elif source.frames.ndim == 2:
         labels = dpboost.fit(source.frames, source.actions, source.lengths).labels_
     else:
-        generator = torch.Generator().manual_seed(seed)
         planner, (height, width) = PlannerOptions(), source.frames.shape[1:3]
         features = make_features(planner.features, height, width, planner.rectangles, generator)
         plan = Plan(features.count, features.count, 0, planner.memory_limit)
-        images, lengths = torch.from_numpy(source.frames), torch.from_numpy(source.lengths)
-        data = prepare(images, lengths, features, plan, generator)[2]
+        seen = {"observation.image": torch.from_numpy(source.frames)}
+        data = prepare(seen, lengths, features, plan, generator)[2]
         labels = dpboost.fit_levels(data, source.actions, source.lengths).labels
     return Found(labels.numpy(), f"Q={macros}, S={bound}")
 
