@@ -19,7 +19,6 @@ from torch import Tensor
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Round
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt, discover
 from dpmacro.discovery.settings import SearchSettings, paper_switches
@@ -29,6 +28,7 @@ from dpmacro.estimator.arguments import (
     as_device,
     as_features,
     check_options,
+    standardised,
     task_of,
 )
 from dpmacro.estimator.final import finished
@@ -216,7 +216,7 @@ class DPBoost:
             known: labels 0..Q-1 that take the place of the search.
             on_round: called after every boosting round.
         """
-        task = self._task(data, actions, lengths, groups)
+        task = task_of(self.get_params(), data, actions, lengths, groups)
         if task.macros == 1 or task.max_transitions == 0:
             return None
         if known is not None:
@@ -251,7 +251,7 @@ class DPBoost:
             discovery: what `discover_levels` found, where it has run already.
             on_round: called after every boosting round.
         """
-        task = self._task(data, actions, lengths, groups)
+        task = task_of(self.get_params(), data, actions, lengths, groups)
         if discovery is None:
             discovery = self.discover_levels(data, actions, lengths, groups=groups, on_round=on_round)
         fit = FinalFit(
@@ -291,25 +291,11 @@ class DPBoost:
         return self.result_
 
     def _standardised(self, actions: Num[Tensor, "frames *dims"]) -> Num[Tensor, "frames *dims"]:
-        """Vectors by the deviations of `fit`; classes as they are. Raises ValueError for the other kind."""
-        if (actions.ndim == 2) != (self._standardiser is not None):
-            kind = "vectors" if actions.ndim == 1 else "classes"
-            raise ValueError(
-                f"actions have shape {list(actions.shape)}, those of fit were {kind}: give the same"
-            )
-        return actions if self._standardiser is None else self._standardiser.apply(actions)
+        """Vectors by the deviations of `fit`; classes as they are."""
+        return standardised(actions, self._standardiser)
 
     def _levels(self, features: ArrayLike) -> UInt8[Tensor, "columns frames"]:
         """The levels of frames, by the cuts of `fit`."""
         quantiser = self._fitted.quantiser
         assert quantiser is not None, "fit made one"
         return levels_of(quantiser, as_features(features, quantiser.cuts.device))
-
-    def _task(
-        self,
-        data: SortedLevels,
-        actions: ArrayLike,
-        lengths: ArrayLike,
-        groups: Int64[Tensor, " trajectories"] | None,
-    ) -> Task:
-        return task_of(self.get_params(), data, actions, lengths, groups)
