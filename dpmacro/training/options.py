@@ -114,8 +114,8 @@ class PlannerOptions:
     """Number of random rectangles, where the features are rectangles."""
     drawn: int = 0
     """Random columns searched for the best stump in a round; 0 searches all, exactly but more slowly."""
-    reuse: int = 1
-    """Rounds that one search of all columns serves; those after it search its best columns only."""
+    reuse: int = 5
+    """Rounds that one search of all columns serves, whose best columns the others search; 1 is exact."""
     memory_limit: float = 6.0
     """GiB of memory that training may take; where columns exceed it, rounds search random ones."""
     early_stopping: bool = False
