@@ -13,7 +13,7 @@ from inspect import signature
 from typing import Any
 
 import torch
-from jaxtyping import Int64, Num, UInt8
+from jaxtyping import Int64, UInt8
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import WeakLearner
@@ -162,7 +162,7 @@ class DPBoost:
         lengths = as_lengths(lengths, values.shape[1], "features")
         quantiser = Quantiser.fit(values)
         data = SortedLevels.build(quantiser.levels(values))
-        result = self.fit_levels(data, self._standardised(actions), lengths, on_round=on_round)
+        result = self.fit_levels(data, standardised(actions, self._standardiser), lengths, on_round=on_round)
         self.result_ = replace(result, quantiser=quantiser)
         self.labels_, self.confidence_ = self.result_.labels, self.result_.confidence
         return self
@@ -184,7 +184,7 @@ class DPBoost:
         On the data of `fit` they are its labels. Arguments and errors as for `fit`.
         """
         levels = self._levels(features)
-        actions = self._standardised(as_actions(actions, levels.shape[1]))
+        actions = standardised(as_actions(actions, levels.shape[1]), self._standardiser)
         return segmented(self._fitted, levels, actions, as_lengths(lengths, levels.shape[1], "features"))
 
     def score(self, features: ArrayLike, actions: ArrayLike, lengths: ArrayLike) -> float:
@@ -193,7 +193,7 @@ class DPBoost:
         Of vectors the share of their variance that is explained.
         """
         levels = self._levels(features)
-        actions = self._standardised(as_actions(actions, levels.shape[1])).cpu()
+        actions = standardised(as_actions(actions, levels.shape[1]), self._standardiser).cpu()
         scores = predicted(self._fitted, levels, as_lengths(lengths, levels.shape[1], "features"))[1]
         return 1 - self._fitted.action_loss.error(scores, actions)
 
@@ -289,10 +289,6 @@ class DPBoost:
         if not hasattr(self, "result_"):
             raise ValueError("this DPBoost has found nothing yet: call fit first")
         return self.result_
-
-    def _standardised(self, actions: Num[Tensor, "frames *dims"]) -> Num[Tensor, "frames *dims"]:
-        """Vectors by the deviations of `fit`; classes as they are."""
-        return standardised(actions, self._standardiser)
 
     def _levels(self, features: ArrayLike) -> UInt8[Tensor, "columns frames"]:
         """The levels of frames, by the cuts of `fit`."""
