@@ -36,7 +36,7 @@ from dpmacro.features.levels import SortedLevels
 
 __all__ = ["adopt", "discover"]
 
-PEAKS = 2  # candidates a restart that are cut at feature peaks, with two macro-actions; fewer with more
+PEAKS = 2  # candidates a restart cut at feature peaks, of classes and with two macro-actions; else fewer
 COMPONENTS = 12
 TABLE = 2**23  # scores that stand in memory together
 
@@ -177,14 +177,15 @@ def _scored(
     order = alternated.loss[-1].argsort()
     generator = torch.Generator().manual_seed(task.seed)
     bounds = task.macros, task.max_transitions
-    events = alternated.labels[:0]
+    events, n_peaks = alternated.labels[:0], restarts // 2
     if task.actions.ndim == 1:
         events = action_events(task.actions, task.lengths, restarts // 4, *bounds, generator)
+        n_peaks = PEAKS * restarts
     peaks = [
         feature_peaks(
             data.levels,
             task.lengths,
-            PEAKS * restarts // (smaller.macros - 1),
+            n_peaks // (smaller.macros - 1),
             smaller.macros,
             smaller.max_transitions,
             generator,
