@@ -6,6 +6,7 @@ PYTHON ?= $(if $(wildcard $(VENV)/.installed-*),$(VENV)/bin/python,python3)
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 INSTALLED := $(VENV)/.installed-$(VERSION)
 PEERS := $(VENV)/.bench-$(VERSION)
+SIMULATOR := $(VENV)/.metaworld-$(VERSION)
 BIN := $(VENV)/bin
 WORKERS ?= 2
 
@@ -98,8 +99,14 @@ BABYAI := datasets/babyai
 LEVELS := $(addprefix BabyAI-,GoToSeqS5R2-v0 UnlockLocal-v0 PutNextS5N2-v0 PickupAbove-v0 UnlockPickup-v0 SynthS5R2-v0)
 LEVELS := $(LEVELS:%=$(BABYAI)/%/meta/info.json)
 
-bench-segmentation: $(PEERS) $(DATASET)/meta/info.json $(LEVELS) ## compare segmentations with other methods' where the truth is known (QUICK=1 likewise)
-	$(BIN)/python benchmarks/bench_segmentation.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
+METAWORLD := datasets/metaworld
+TASKS := $(addsuffix -v3,pick-place assembly coffee-push drawer-close hammer)
+TASKS := $(TASKS:%=$(METAWORLD)/%/meta/info.json)
+# Datasets that others made: MOCAP=folder of mocap6, CR5=folder of the CR5 arm with a banana.
+OTHERS = $(if $(MOCAP),--mocap=$(MOCAP)) $(if $(CR5),--cr5=$(CR5))
+
+bench-segmentation: $(PEERS) $(DATASET)/meta/info.json $(LEVELS) $(TASKS) ## compare segmentations with other methods' where the truth is known (QUICK=1 likewise)
+	$(BIN)/python benchmarks/bench_segmentation.py --two_flags=$(DATASET) --babyai=$(BABYAI) --metaworld=$(METAWORLD) $(OTHERS) $(if $(QUICK),--quick=true) $(BENCH)
 
 bench-selectors: $(INSTALLED) $(DATASET)/meta/info.json $(LEVELS) ## which criterion tells the true segmentation from other candidates (hours; QUICK=1 likewise)
 	$(BIN)/python benchmarks/bench_selectors.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
@@ -110,6 +117,13 @@ table: $(INSTALLED) ## success of teacher, baseline and DPBoost, into docs/resul
 
 $(BABYAI)/%/meta/info.json: | $(INSTALLED)
 	$(BIN)/python datasets/record_babyai.py --root=$(BABYAI)/$* --level=$* --episodes=100 --seed=0
+
+$(METAWORLD)/%/meta/info.json: | $(SIMULATOR)
+	$(BIN)/python datasets/record_metaworld.py --root=$(METAWORLD)/$* --task=$* --episodes=50 --noise=0.1 --seed=0
+
+$(SIMULATOR): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --editable '.[metaworld]'
+	touch $@
 
 $(PEERS): $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'

@@ -39,7 +39,14 @@ def main(options: TrainOptions) -> None:
     assert dataset.root is not None, "the options checked it"
     transform = ImageTransform(dataset.image_size, memory=options.planner.memory_limit)
     demonstrations = Demonstrations.load(
-        dataset.root, dataset.episodes, dataset.camera, dataset.truth, transform
+        dataset.root,
+        dataset.episodes,
+        inputs=dataset.inputs,
+        camera=dataset.camera,
+        action=dataset.action,
+        truth=dataset.truth,
+        transform=transform,
+        task=dataset.task,
     )
     started = time.perf_counter()
     if options.dagger.iterations:
@@ -60,7 +67,8 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     """What was found, for people."""
     found = result.found
     occupancy = found.labels.bincount(minlength=result.policy.config.macros).tolist()
-    lines = [] if result.choice is None else choice_report(result.choice)
+    lines = [f"{'data' if place == 0 else '':<12} {note}" for place, note in enumerate(result.notes)]
+    lines += [] if result.choice is None else choice_report(result.choice)
     lines.append(f"objective    {float(found.loss[-1]):.4f} a frame, {len(found.loss)} rounds")
     lines += [f"macro {macro}      {frames} frames" for macro, frames in enumerate(occupancy)]
     lines += switch_report(result)

@@ -12,6 +12,7 @@ __all__ = ["act", "rows"]
 
 MACROS, ROUNDS, SWITCH_ROUNDS = 4, 300, 400
 GOALS = {1: 1.0, 64: 5.0}  # milliseconds by batch
+CAMERA = "observation.image"
 CALLS = 50
 
 
@@ -47,7 +48,7 @@ def act(dataset: str, features: str, batch: int, threads: int, repeats: int) -> 
     for _ in range(repeats + 1):
         start = time.perf_counter()
         for call in range(CALLS):
-            _, state = policy.act(images[call : call + batch], state)
+            _, state = policy.act({CAMERA: images[call : call + batch]}, state)
         milliseconds.append(1e3 * (time.perf_counter() - start) / CALLS)
     return {"milliseconds": milliseconds, "columns": policy.features.count}
 
@@ -58,13 +59,14 @@ def _policy(kind: str, images: Any) -> Any:
     from dpmacro.boosting.learners.stumps import StumpClassifier
     from dpmacro.features.kinds import make_features
     from dpmacro.features.quantising import Quantiser
-    from dpmacro.policy.config import PolicyConfig
+    from dpmacro.policy.config import InputConfig, PolicyConfig
     from dpmacro.policy.policy import MacroPolicy
 
     generator = torch.Generator().manual_seed(0)
     height, width = images.shape[1:3]
     features = make_features(kind, height, width, 4096, generator)
-    quantiser = Quantiser.fit(features.values(images[1:], images[:-1]))
+    seen = {0: {CAMERA: images[1:]}, 1: {CAMERA: images[:-1]}}
+    quantiser = Quantiser.fit(features.values(seen))
 
     def stumps(rounds: int, problems: int, classes: int) -> StumpClassifier:
         return StumpClassifier(
@@ -75,7 +77,15 @@ def _policy(kind: str, images: Any) -> Any:
 
     pairs = tuple(itertools.permutations(range(MACROS), 2))
     config = PolicyConfig(
-        "dpboost", MACROS, (0,), ("a", "b", "c"), images.shape[1:3], kind, pairs, (0.0,) * len(pairs)
+        "dpboost",
+        MACROS,
+        (0,),
+        {CAMERA: InputConfig(tuple(images.shape[1:]))},
+        features.spec(),
+        ("a", "b", "c"),
+        3,
+        switches=pairs,
+        thresholds=(0.0,) * len(pairs),
     )
     parts = stumps(ROUNDS, MACROS, 3), stumps(SWITCH_ROUNDS, len(pairs), 1)
     return MacroPolicy.compact(config, features, quantiser, *parts)

@@ -2,8 +2,9 @@
 
 python benchmarks/bench_segmentation.py --sources='[digits]' --methods='[dpmacro, GaussianHMM]' --seeds='[0]'
 
-The rows (source, case, seed, method, metric, value) are written after every segmentation; what is there
-already, of the same data, is not found anew without --fresh=true. A method that is not installed is skipped.
+Sources with vectors as actions need a folder: --metaworld=, --mocap=, --cr5=. The rows (source, case, seed,
+method, metric, value) are written after every segmentation; what is there already, of the same data, is not
+found anew without --fresh=true. A method that is not installed, or has no answer for a source, is skipped.
 """
 
 import json
@@ -11,7 +12,7 @@ import shlex
 import signal
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,23 +21,35 @@ import numpy as np
 import torch
 from report import header
 from segmentation_peers import PEERS, Found
-from segmentation_sources import TOLERANCES, Source, check_recorded, sources
+from segmentation_ranks import distances, ranks
+from segmentation_sources import (
+    TOLERANCES,
+    VECTOR_TOLERANCES,
+    NotApplicableError,
+    Source,
+    check_recorded,
+    sources,
+)
+from segmentation_vectors import missing_folders, vector_sources
 from tqdm import tqdm
 
+from dpmacro.data.vectors import ActionTransform
 from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.features.columns import prepare
-from dpmacro.features.kinds import make_features
+from dpmacro.features.kinds import StateSpec, make_encoder, make_features
 from dpmacro.features.memory import Plan
 from dpmacro.metrics import segmentation_scores
+from dpmacro.training.data import PAIRS
 from dpmacro.training.options import PlannerOptions
 from dpmacro.utils import cli
 from dpmacro.utils.files import replacing
 
 NOTES = """\
 Means over n seeds, which on digits draw the data, too. Every method is told Q; dpmacro, as its bound, the
-largest true number of changes, KernelCPD that of every trajectory. Settings of the peers are chosen by the
-truth (benchmarks/segmentation_peers.py says from what), those of dpmacro are the defaults. Uniform and random
-cuts have the true labels in their true order. A boundary may be off by `tolerance` frames."""
+largest true number of changes; KernelCPD, TW-FINCH, AWE and slow that of every trajectory. Settings of the
+peers are chosen by the truth (benchmarks/segmentation_peers.py says from what), those of dpmacro are the
+defaults. Uniform and random cuts have the true labels in their true order. A boundary may be off by
+`tolerance` frames. A mean rank is over the n cases that a method has an answer for, 1 the best of a case."""
 COLUMNS = {  # metric: heading
     "accuracy": "accuracy",
     "boundary_f1": "boundary F1",
@@ -50,7 +63,9 @@ COLUMNS = {  # metric: heading
     "ari": "ARI",
     "segments": "segments",
 }
+STATE, WINDOW = "observation.state", 5  # frames of a state's longer change
 COUNTS = ("segments", "true_segments")
+ALL_TOLERANCES = TOLERANCES | VECTOR_TOLERANCES
 KEY = ("source", "case", "data", "seed", "method")
 
 Row = dict[str, Any]
@@ -59,20 +74,32 @@ Row = dict[str, Any]
 def dpmacro(source: Source, seed: int, quick: bool) -> Found:
     """DPBoost as train.py runs it by default, told Q and the largest number of changes in a trajectory.
 
-    Images become the default's rectangles; numbers are taken as they are.
+    Images become the default's rectangles; numbers beside classes are taken as they are. Where actions are
+    vectors the numbers are a state, and become its columns, and actions are learned as train.py would.
     """
     macros, bound = source.macros, max(source.changes)
     small: dict[str, Any] = {"rounds": 10, "restarts": 4, "switch_rounds": 20} if quick else {}
     dpboost = DPBoost(macros=macros, max_transitions=bound, seed=seed, **small)
-    if source.frames.ndim == 2:
+    lengths, generator = torch.from_numpy(source.lengths), torch.Generator().manual_seed(seed)
+    if source.vectors:
+        names = tuple(map(str, range(source.frames.shape[1])))
+        varying = tuple(np.flatnonzero(np.ptp(source.frames, 0) > 0).tolist())
+        spec = {STATE: StateSpec(names, varying)}
+        encoder = make_encoder(spec, "rectangles", 1, WINDOW, PAIRS, generator)
+        plan = Plan(encoder.count, encoder.count, 0, PlannerOptions().memory_limit)
+        seen = {STATE: torch.from_numpy(source.frames)}
+        data = prepare(seen, lengths, encoder, plan, generator)[2]
+        transform = ActionTransform.fit(source.actions, source.lengths, source.frames)
+        targets = transform.targets(source.actions, source.frames)
+        labels = dpboost.fit_levels(data, targets, source.lengths).labels
+    elif source.frames.ndim == 2:
         labels = dpboost.fit(source.frames, source.actions, source.lengths).labels_
     else:
-        generator = torch.Generator().manual_seed(seed)
         planner, (height, width) = PlannerOptions(), source.frames.shape[1:3]
         features = make_features(planner.features, height, width, planner.rectangles, generator)
         plan = Plan(features.count, features.count, 0, planner.memory_limit)
-        images, lengths = torch.from_numpy(source.frames), torch.from_numpy(source.lengths)
-        data = prepare(images, lengths, features, plan, generator)[2]
+        seen = {"observation.image": torch.from_numpy(source.frames)}
+        data = prepare(seen, lengths, features, plan, generator)[2]
         labels = dpboost.fit_levels(data, source.actions, source.lengths).labels
     return Found(labels.numpy(), f"Q={macros}, S={bound}")
 
@@ -84,11 +111,12 @@ METHODS: dict[str, Callable[[Source, int, bool], Found]] = {"dpmacro": dpmacro, 
 class BenchOptions:
     """What to segment, and how."""
 
-    sources: list[str] = field(default_factory=lambda: list(TOLERANCES))
-    """Data to segment, out of digits, two_flags and babyai."""
+    sources: list[str] = field(default_factory=lambda: list(ALL_TOLERANCES))
+    """Data to segment, out of digits, two_flags, babyai, metaworld, mocap6 and cr5."""
     methods: list[str] = field(default_factory=lambda: list(METHODS))
-    """dpmacro, GaussianHMM, AR-HMM, regression HMM, KernelCPD, k-means, uniform cuts, random cuts."""
-    seeds: list[int] = field(default_factory=lambda: list(range(5)))
+    """dpmacro, GaussianHMM, AR-HMM, regression HMM, KernelCPD, k-means, TW-FINCH, AWE, gripper, slow, gripper
+    or slow, uniform cuts, random cuts."""
+    seeds: list[int] = field(default_factory=lambda: list(range(3)))
     """Seeds of the methods, and of the digits."""
     quick: bool = False
     """Little data and few settings; shows that everything runs, not how well; rows go to *_quick.json."""
@@ -99,18 +127,29 @@ class BenchOptions:
     babyai: Path = Path("datasets/babyai")
     """Folder of recorded BabyAI levels."""
     truth: str = "subgoal"
-    """Column of theirs that is the truth, subgoal or purpose."""
+    """Column of BabyAI's that is the truth, subgoal or purpose."""
+    metaworld: Path = Path("datasets/metaworld")
+    """Folder of recorded Meta-World tasks."""
+    mocap: Path | None = None
+    """Dataset mocap6, which others made; without it that source is left out."""
+    cr5: Path | None = None
+    """Dataset of the CR5 arm with a banana, which others made; without it that source is left out."""
     output: Path = Path("outputs/bench_segmentation.json")
     """Where the rows go."""
 
     def __post_init__(self) -> None:
-        for name, choices in (("sources", list(TOLERANCES)), ("methods", list(METHODS))):
+        for name, choices in (("sources", list(ALL_TOLERANCES)), ("methods", list(METHODS))):
             for value in getattr(self, name):
                 if value not in choices:
                     raise ValueError(f"{name} has {value!r}: choose from {', '.join(choices)}")
         for seed in self.seeds:
             if seed < 0:
                 raise ValueError(f"seeds has {seed}: give 0 or more")
+
+    @property
+    def folders(self) -> dict[str, Path | None]:
+        """Where the sources are whose actions are vectors."""
+        return {"metaworld": self.metaworld, "mocap6": self.mocap, "cr5": self.cr5}
 
     @property
     def rows(self) -> Path:
@@ -121,15 +160,15 @@ class BenchOptions:
 def main(options: BenchOptions) -> None:
     """Segment and score, writing the rows as they come; print the table, also of an interrupted run."""
     check_recorded(options.sources, options.two_flags, options.babyai)
+    left_out = missing_folders(options.sources, options.folders)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     print("\n".join(header(shlex.join(["python", *sys.orig_argv[1:]]))), flush=True)
     rows = _read(options.rows)
     wanted: list[tuple[Any, ...]] = []
-    missing: dict[str, str] = {}
+    skipped: dict[str, str] = {}  # a line's beginning: its end
     try:
         with tqdm(unit="segmentation") as bar:
-            where = options.two_flags, options.babyai, options.truth
-            for seed, source in sources(options.sources, options.seeds, *where, options.quick):
+            for seed, source in _sources(options):
                 bar.total = (bar.total or 0) + len(options.methods)
                 for method in options.methods:
                     bar.set_postfix_str(f"{source.name} {source.case}, seed {seed}, {method}")
@@ -140,14 +179,28 @@ def main(options: BenchOptions) -> None:
                             rows[key] = _score(key, source, METHODS[method](source, seed, options.quick))
                             _write(rows, options.rows)
                         except ModuleNotFoundError as error:
-                            missing[method] = str(error.name)
+                            remedy = "pip install -e '.[bench]' brings every peer"
+                            skipped[method] = f"no module {error.name}; {remedy}"
+                        except NotApplicableError as error:
+                            skipped[f"{method} on {source.name}"] = str(error)
                     bar.update()
     finally:
-        print("\n".join(table([row for key in wanted for row in rows.get(key, [])])))
+        found = [row for key in wanted for row in rows.get(key, [])]
+        print("\n".join([*table(found), *ranks(found, COLUMNS), *distances(found)]))
         print(NOTES)
-        for method, module in missing.items():
-            print(f"skipped {method}: no module {module}; pip install -e '.[bench]' brings every peer")
+        print("".join(f"skipped {what}: {why}\n" for what, why in skipped.items()), end="")
+        print("".join(f"{line}\n" for line in left_out), end="")
         print(f"rows     {options.rows}")
+
+
+def _sources(options: BenchOptions) -> Iterator[tuple[int, Source]]:
+    """Every source with every seed, in the order of the options."""
+    of_classes = options.two_flags, options.babyai, options.truth, options.quick
+    for name in options.sources:
+        if name in TOLERANCES:
+            yield from sources([name], options.seeds, *of_classes)
+        else:
+            yield from vector_sources([name], options.seeds, options.folders, options.quick)
 
 
 def table(rows: Iterable[Row]) -> list[str]:
@@ -159,14 +212,14 @@ def table(rows: Iterable[Row]) -> list[str]:
     lines = []
     for (source, name), methods in values.items():
         true = np.mean([one for found in methods.values() for one in found["true_segments"]])
-        lines += ["", f"{source} {name}: {true:g} true segments, tolerance {TOLERANCES[source]}"]
-        lines.append("  ".join([f"{'method':<14}", " n", *COLUMNS.values()]))
+        lines += ["", f"{source} {name}: {true:g} true segments, tolerance {ALL_TOLERANCES[source]}"]
+        lines.append("  ".join([f"{'method':<15}", " n", *COLUMNS.values()]))
         for method, found in methods.items():
             cells = [
                 f"{np.mean(found[metric]):{len(heading)}.{1 if metric in COUNTS else 3}f}"
                 for metric, heading in COLUMNS.items()
             ]
-            lines.append("  ".join([f"{method:<14}", f"{len(found['accuracy']):2}", *cells]))
+            lines.append("  ".join([f"{method:<15}", f"{len(found['accuracy']):2}", *cells]))
     return lines
 
 

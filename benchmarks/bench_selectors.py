@@ -190,7 +190,7 @@ def _sorted_levels(source: Source, seed: int) -> SortedLevels:
     features = make_features(planner.features, height, width, planner.rectangles, generator)
     plan = Plan(features.count, features.count, 0, planner.memory_limit)
     images, lengths = torch.from_numpy(source.frames), torch.from_numpy(source.lengths)
-    return prepare(images, lengths, features, plan, generator)[2]
+    return prepare({"observation.image": images}, lengths, features, plan, generator)[2]
 
 
 def _fitted(

@@ -7,7 +7,7 @@ import torch
 from matrices import SIZES, Matrix, planted
 
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.features.base import frames_before
+from dpmacro.features.base import Seen, frames_before
 from dpmacro.features.kinds import make_features
 from dpmacro.features.quantising import Quantiser
 
@@ -43,13 +43,18 @@ def recorded(kind: str, demonstrations: Demonstrations, n_frames: int, n_columns
     height, width = images.shape[1:3]
     features = make_features(kind, height, width, n_columns, torch.Generator().manual_seed(0))
     features = features.select(torch.linspace(0, features.count - 1, min(n_columns, features.count)).long())
-    values = features.values(images[:n_frames], previous[:n_frames])
+    values = features.values(_seen(images[:n_frames], previous[:n_frames]))
     quantiser = Quantiser.fit(values)
     kept = (n_frames - starts).clamp(min=torch.zeros_like(lengths), max=lengths)
     return Matrix(
         quantiser.levels(values).T.numpy(),
         demonstrations.actions[:n_frames],
         kept[kept > 0].numpy(),
-        quantiser.levels(features.values(images[held:], previous[held:])).T.numpy(),
+        quantiser.levels(features.values(_seen(images[held:], previous[held:]))).T.numpy(),
         demonstrations.actions[held:],
     )
+
+
+def _seen(images: torch.Tensor, previous: torch.Tensor) -> Seen:
+    """Images, and those before them, as an encoder of one camera looks at them."""
+    return {0: {"observation.image": images}, 1: {"observation.image": previous}}

@@ -71,7 +71,7 @@ def main(options: ConvNetOptions) -> None:
     height, width = images.shape[1:3]
     features = make_features("rectangles", height, width, 4096, generator)
     plan = Plan(features.count, features.count, 0, 0.0)
-    _, _, data = prepare(images, lengths, features, plan, generator)
+    _, _, data = prepare({"observation.image": images}, lengths, features, plan, generator)
     stumps, convnets = StumpLearner(data, reuse=REUSE), ConvNetLearner(images, frames_before(lengths))
     print(f"{torch.get_num_threads()} threads, {len(images)} frames")
     print(

@@ -54,7 +54,9 @@ def main(options: PruningOptions) -> None:
         height, width = images.shape[1:3]
         features = make_features(kind, height, width, options.columns, generator)
         columns = min(options.columns, features.count)
-        _, _, data = prepare(images, lengths, features, Plan(columns, features.count, 0, 0.0), generator)
+        _, _, data = prepare(
+            {"observation.image": images}, lengths, features, Plan(columns, features.count, 0, 0.0), generator
+        )
         for number, line in rows(data, actions, options.shrinkage, generator):
             print(f"{kind:<11} {number:>5} {line}", flush=True)
 

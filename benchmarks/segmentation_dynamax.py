@@ -13,13 +13,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from dynamax.hidden_markov_model import CategoricalRegressionHMM, LinearAutoregressiveHMM
+from dynamax.hidden_markov_model import CategoricalRegressionHMM, LinearAutoregressiveHMM, LinearRegressionHMM
 from dynamax.hidden_markov_model.inference import HMMPosterior, hmm_posterior_mode
 from dynamax.hidden_markov_model.models.arhmm import LinearAutoregressiveHMMEmissions
 from dynamax.hidden_markov_model.models.categorical_glm_hmm import CategoricalRegressionHMMEmissions
+from dynamax.hidden_markov_model.models.linreg_hmm import LinearRegressionHMMEmissions
 
-__all__ = ["autoregression", "regression"]
+__all__ = ["autoregression", "linear_regression", "regression"]
 
+RIDGE = 1.0  # frames' worth of weight that says a linear model's weights are 0; variances are 1
+NOBODY = 1e-3  # frames that a state without any still has
 ASCENT = {"m_step_optimizer": optax.adam(0.05), "m_step_num_iters": 20}
 
 
@@ -40,10 +43,42 @@ class _Masked:
         return (super().inputs_shape[0] + 1,)  # type: ignore[misc]
 
 
-class _AutoregressionEmissions(_Padded, LinearAutoregressiveHMMEmissions):
+class _Floored:
+    """Linear regressions whose variances are `floor` at least; dynamax has no prior of its own for them.
+
+    A state whose emissions are constant, or an exact function of its inputs, would have an infinite
+    likelihood. With a floor the weights are those of a ridge regression, too, and a state may lose all its
+    frames.
+    """
+
+    floor = 0.0
+
+    def m_step(self, params: Any, props: Any, batch_stats: Any, m_step_state: Any) -> Any:
+        if self.floor:
+            total = dict(batch_stats)
+            share = 1 / len(total["sum_w"])  # of one trajectory: they are added up
+            inputs, outputs = (jnp.eye(total[name].shape[-1]) for name in ("sum_xxT", "sum_yyT"))
+            total["sum_w"] = total["sum_w"] + NOBODY * share
+            total["sum_xxT"] = total["sum_xxT"] + RIDGE * share * inputs
+            total["sum_yyT"] = total["sum_yyT"] + self.floor * total["sum_w"][..., None, None] * outputs
+            batch_stats = total
+        return super().m_step(params, props, batch_stats, m_step_state)  # type: ignore[misc]
+
+
+class _Observed:
+    """Linear regressions that count the frames that were observed."""
+
     def collect_suff_stats(self, params: Any, posterior: Any, emissions: Any, inputs: Any = None) -> Any:
         observed = posterior._replace(smoothed_probs=posterior.smoothed_probs * inputs[:, -1:])
-        return super().collect_suff_stats(params, observed, emissions, inputs[:, :-1])
+        return super().collect_suff_stats(params, observed, emissions, inputs[:, :-1])  # type: ignore[misc]
+
+
+class _AutoregressionEmissions(_Floored, _Observed, _Padded, LinearAutoregressiveHMMEmissions):
+    pass
+
+
+class _LinearEmissions(_Floored, _Observed, _Padded, LinearRegressionHMMEmissions):
+    pass
 
 
 class _RegressionEmissions(_Padded, CategoricalRegressionHMMEmissions):
@@ -60,12 +95,17 @@ class _Regression(_Masked, CategoricalRegressionHMM):
     pass
 
 
+class _LinearRegression(_Masked, LinearRegressionHMM):
+    pass
+
+
 def autoregression(
     values: np.ndarray,
     lengths: np.ndarray,
     starts: Sequence[np.ndarray],
     transition: np.ndarray,
     steps: int,
+    floor: float = 0.0,
 ) -> np.ndarray | None:
     """Likeliest states of a LinearAutoregressiveHMM of lag 1, or None where every start fails.
 
@@ -75,10 +115,11 @@ def autoregression(
         starts: labels [frames] to start from.
         transition: probabilities [states, states] to start from.
         steps: of expectation maximisation.
+        floor: added to every variance.
     """
     before = np.vstack([np.zeros_like(values[:1]), values[:-1]])
     before[np.cumsum(lengths)[:-1]] = 0
-    fit = _autoregressive_model(len(transition), values.shape[1], steps)
+    fit = _autoregressive_model(len(transition), values.shape[1], steps, floor)
     return _likeliest(fit, values, before, lengths, starts, transition)
 
 
@@ -95,10 +136,38 @@ def regression(
     return _likeliest(fit, actions, values, lengths, starts, transition)
 
 
+def linear_regression(
+    values: np.ndarray,
+    actions: np.ndarray,
+    lengths: np.ndarray,
+    starts: Sequence[np.ndarray],
+    transition: np.ndarray,
+    steps: int,
+    floor: float,
+) -> np.ndarray | None:
+    """Likewise, of a LinearRegressionHMM of vectors [frames, dimensions] given values.
+
+    Where actions have no dimension, as where none of theirs varies, there is nothing to explain: None.
+    """
+    if not actions.shape[1]:
+        return None
+    fit = _linear_model(len(transition), values.shape[1], actions.shape[1], steps, floor)
+    return _likeliest(fit, actions, values, lengths, starts, transition)
+
+
 @functools.cache
-def _autoregressive_model(states: int, columns: int, steps: int) -> Callable:
+def _autoregressive_model(states: int, columns: int, steps: int, floor: float = 0.0) -> Callable:
     model = _Autoregression(states, columns)
     model.emission_component = _AutoregressionEmissions(states, columns)
+    model.emission_component.floor = floor
+    return _fit(model, steps)
+
+
+@functools.cache
+def _linear_model(states: int, columns: int, dimensions: int, steps: int, floor: float) -> Callable:
+    model = _LinearRegression(states, columns, dimensions)
+    model.emission_component = _LinearEmissions(states, columns, dimensions)
+    model.emission_component.floor = floor
     return _fit(model, steps)
 
 

@@ -1,74 +1,51 @@
 """What a researcher could cut demonstrations with instead, each at the best setting that is fair to give it.
 
-All peers see whitened principal components of the frames and one-hot actions, are told the true number Q of
-macro-actions, and the hidden Markov models the true rate of changes to start from. Where a peer has settings
-(how many components, how much the actions count, the window), *truth* chooses: of a small grid the
-setting with the largest sum of frame accuracy and boundary F1, for every case and seed anew. No user could
-choose so well; it favours the peer. Within a setting, restarts are chosen by likelihood as a user would.
+All peers see whitened principal components of the frames and one-hot actions; where actions are vectors, the
+standardised columns, too, or their components. They are told the true number Q of macro-actions, and the
+hidden Markov models the true rate of changes to start from. Settings are chosen by the truth
+(segmentation_grid.py); within a setting, restarts are chosen by likelihood as a user would.
 """
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
+from segmentation_finch import temporal_clusters
+from segmentation_grid import (
+    ALL,
+    DIMENSIONS,
+    QUICK_DIMENSIONS,
+    Found,
+    Setting,
+    chosen_by_truth,
+    clustered,
+    named,
+    settings,
+    sliding_means,
+    varying,
+)
+from segmentation_heuristics import gripper_changes, gripper_or_slow, slow_moments, waypoints
 from segmentation_sources import Source
 
-from dpmacro.metrics import random_cuts_like, segmentation_scores, uniform_cuts
+from dpmacro.metrics import random_cuts_like, uniform_cuts
 
 __all__ = ["PEERS", "Found", "Setting"]
 
-DIMENSIONS, QUICK_DIMENSIONS = (8, 32), (8,)
-SHARES, QUICK_SHARES = (0.0, 0.5, 0.9), (0.5,)
-MIXED, QUICK_MIXED = (0.0, 0.5), (0.5,)
+MIXED = (0.0, 0.5)  # shares of the actions
 WINDOWS, QUICK_WINDOWS = (1, 3, 5, 9, 17, 33, 65, 129), (5, 33)
 RESTARTS, QUICK_RESTARTS = 6, 2
 STEPS, QUICK_STEPS = 50, 10  # of expectation maximisation at most
 SETTLED = 1e-4  # nats a frame that another step must gain
-NOISE = 0.3  # standard deviation added to one-hot actions, without which their densities are infinite
-
-
-@dataclass(frozen=True)
-class Found:
-    """A segmentation, and the setting that found it."""
-
-    labels: np.ndarray  # int64 [frames]
-    setting: str
-
-
-@dataclass(frozen=True)
-class Setting:
-    """Columns that a peer works on: components in all, and the actions' share of the variance, 0..1."""
-
-    dimensions: int
-    share: float
-
-    def __str__(self) -> str:
-        return "actions" if self.share == 1 else f"{self.dimensions} components, actions {self.share:g}"
-
-    def matrix(self, source: Source, seed: int) -> np.ndarray:
-        """float64 [frames, columns] of total variance 1."""
-        each = self.dimensions // len(source.components)
-        observed = np.hstack([block[:, :each] for block in source.components])
-        one_hot = np.eye(source.actions.max() + 1)[source.actions][:, np.unique(source.actions)]
-        one_hot = one_hot + NOISE * np.random.default_rng(seed).normal(size=one_hot.shape)
-        parts = [(observed, 1 - self.share), (one_hot, self.share)]
-        return np.hstack([np.sqrt(share / part.var(0).sum()) * part for part, share in parts if share > 0])
-
-
-def _settings(shares: tuple[float, ...], quick: bool) -> list[Setting]:
-    """The grid; without observations the number of components is no matter."""
-    found = [Setting(n, share) for n in (QUICK_DIMENSIONS if quick else DIMENSIONS) for share in shares]
-    return found if quick else [*found, Setting(0, 1.0)]
+FLOORS, QUICK_FLOORS = (0.001, 0.1), (0.1,)  # variance added to a linear model of vectors
 
 
 def gaussian_hmm(source: Source, seed: int, quick: bool) -> Found:
     """GaussianHMM of hmmlearn, Viterbi decoded.
 
-    Columns have unit variance. Grid: 8 or 32 components with or without actions, or actions alone;
-    diagonal or full covariances. Six starts (`_starts`), the likeliest kept, each from the means of its
-    labels and, as hmmlearn has it, the covariance of all frames; at most 50 steps of expectation
-    maximisation.
+    Columns have unit variance. Grid: 8 or 32 components with or without actions, or actions alone; diagonal
+    or full covariances; where actions are vectors, all columns, too, with diagonal ones. Six starts
+    (`_starts`), the likeliest kept, each from the means of its labels and, as hmmlearn has it, the covariance
+    of all frames; at most 50 steps of expectation maximisation.
     """
     from hmmlearn.hmm import GaussianHMM
 
@@ -94,78 +71,94 @@ def gaussian_hmm(source: Source, seed: int, quick: bool) -> Found:
         return best
 
     def found() -> Iterator[Found]:
-        for setting in _settings(QUICK_MIXED if quick else MIXED, quick):
+        for setting in settings(source, quick, MIXED):
             values = _standardised(setting.matrix(source, seed))
-            for covariance in ("full",) if quick else ("diag", "full"):
+            singular = setting.dimensions == ALL
+            for covariance in ("full",) if quick else ("diag",) if singular else ("diag", "full"):
                 labels = likeliest(values, covariance)
                 if labels is not None:
                     yield Found(labels, f"{setting}, {covariance}")
 
-    return _chosen_by_truth(source, found())
+    return chosen_by_truth(source, found())
 
 
 def autoregressive_hmm(source: Source, seed: int, quick: bool) -> Found:
     """LinearAutoregressiveHMM of dynamax, lag 1, Viterbi decoded.
 
-    Columns, starts and steps as for `gaussian_hmm`, but full covariances, which is all it has.
+    Columns, starts and steps as for `gaussian_hmm`, but full covariances, which is all it has. Where actions
+    are vectors, which a stage may leave constant, .001 or .1 is added to every variance.
     """
     from segmentation_dynamax import autoregression
 
+    if source.macros == 1:
+        return _nothing_to_tell(source)
+
     def found() -> Iterator[Found]:
-        for setting in _settings(QUICK_MIXED if quick else MIXED, quick):
+        for setting in settings(source, quick, MIXED):
+            if setting.dimensions == ALL:  # linear in one another
+                continue
             values = _standardised(setting.matrix(source, seed))
             starts = _starts(source, values, seed, quick)
             steps = QUICK_STEPS if quick else STEPS
-            labels = autoregression(values, source.lengths, starts, _sticky(source), steps)
-            if labels is not None:
-                yield Found(labels, str(setting))
+            for floor in _floors(quick) if source.vectors else (0.0,):
+                labels = autoregression(values, source.lengths, starts, _sticky(source), steps, floor)
+                if labels is not None:
+                    yield Found(labels, f"{setting}, floor {floor:g}" if floor else str(setting))
 
-    return _chosen_by_truth(source, found())
+    return chosen_by_truth(source, found())
 
 
 def regression_hmm(source: Source, seed: int, quick: bool) -> Found:
-    """CategoricalRegressionHMM of dynamax: every state is a softmax regression of the action on what is seen.
+    """Every state is a regression of the action on what is seen, dynamax.
 
-    The hidden Markov model whose question is ours: what does each macro-action do at which observation. Grid:
-    8 or 32 components; starts and steps as for `gaussian_hmm`.
+    The hidden Markov model whose question is ours: what does each macro-action do at which observation.
+    Classes have a CategoricalRegressionHMM of softmax regressions, vectors a LinearRegressionHMM of linear
+    ones, to whose variances .001 or .1 is added. Grid: 8 or 32 components; starts and steps as for
+    `gaussian_hmm`.
     """
-    from segmentation_dynamax import regression
+    from segmentation_dynamax import linear_regression, regression
+
+    if source.macros == 1:
+        return _nothing_to_tell(source)
 
     def found() -> Iterator[Found]:
         for dimensions in QUICK_DIMENSIONS if quick else DIMENSIONS:
-            setting = Setting(dimensions, 0.0)
-            values = _standardised(setting.matrix(source, seed))
-            starts = _starts(source, values, seed, quick)
+            values = _standardised(Setting(dimensions, 0.0).matrix(source, seed))
+            given = source.lengths, _starts(source, values, seed, quick), _sticky(source)
             steps = QUICK_STEPS if quick else STEPS
-            labels = regression(values, source.actions, source.lengths, starts, _sticky(source), steps)
-            if labels is not None:
-                yield Found(labels, f"{dimensions} components")
+            for floor in _floors(quick) if source.vectors else (0.0,):
+                if source.vectors:
+                    labels = linear_regression(values, varying(source), *given, steps, floor)
+                else:
+                    labels = regression(values, source.actions, *given, steps)
+                if labels is not None:
+                    how = f"{dimensions} components"
+                    yield Found(labels, f"{how}, floor {floor:g}" if floor else how)
 
-    return _chosen_by_truth(source, found())
+    return chosen_by_truth(source, found())
 
 
 def kernel_changes(source: Source, seed: int, quick: bool) -> Found:
     """KernelCPD of ruptures (rbf, median heuristic), told the true number of changes of every trajectory.
 
-    Segments are named by k-means of their means over the whole dataset, weighted by their lengths.
-    Grid: 8 or 32 components; actions none, half or nine tenths of the variance, or alone.
+    Segments are named by k-means of their means (`named`). Grid: 8 or 32 components, where actions are
+    vectors all columns, too; actions none, half or nine tenths of the variance, or alone.
     """
     from ruptures import KernelCPD
 
     def found() -> Iterator[Found]:
-        for setting in _settings(QUICK_SHARES if quick else SHARES, quick):
+        for setting in settings(source, quick):
             values = setting.matrix(source, seed)
             ends: list[int] = []
             for frames, changes in zip(source.trajectories, source.changes, strict=True):
                 cuts = [len(values[frames])]
-                if changes:
+                if changes and np.ptp(values[frames], axis=0).any():
                     cuts = KernelCPD(kernel="rbf", min_size=1).fit(values[frames]).predict(n_bkps=changes)
                 ends += [frames.start + end for end in cuts]
             sizes = np.diff([0, *ends])
-            means = np.add.reduceat(values, np.r_[0, ends[:-1]]) / sizes[:, None]
-            yield Found(np.repeat(_clustered(means, source.macros, seed, sizes), sizes), str(setting))
+            yield from named(source, np.repeat(np.arange(len(sizes)), sizes), seed, [setting], str(setting))
 
-    return _chosen_by_truth(source, found())
+    return chosen_by_truth(source, found())
 
 
 def clustered_windows(source: Source, seed: int, quick: bool) -> Found:
@@ -175,15 +168,15 @@ def clustered_windows(source: Source, seed: int, quick: bool) -> Found:
     """
 
     def found() -> Iterator[Found]:
-        for setting in _settings(QUICK_SHARES if quick else SHARES, quick):
+        for setting in settings(source, quick):
             values = setting.matrix(source, seed)
             for window in QUICK_WINDOWS if quick else WINDOWS:
                 if window <= source.lengths.max():
-                    means = _sliding_means(values, source.trajectories, window)
-                    labels = _clustered(means, source.macros, seed)
+                    means = sliding_means(values, source.trajectories, window)
+                    labels = clustered(means, source.macros, seed)
                     yield Found(labels, f"{setting}, window {window}")
 
-    return _chosen_by_truth(source, found())
+    return chosen_by_truth(source, found())
 
 
 def uniform(source: Source, seed: int, quick: bool) -> Found:
@@ -202,19 +195,23 @@ PEERS: dict[str, Callable[[Source, int, bool], Found]] = {
     "regression HMM": regression_hmm,
     "KernelCPD": kernel_changes,
     "k-means": clustered_windows,
+    "TW-FINCH": temporal_clusters,
+    "AWE": waypoints,
+    "gripper": gripper_changes,
+    "slow": slow_moments,
+    "gripper or slow": gripper_or_slow,
     "uniform cuts": uniform,
     "random cuts": random,
 }
 
 
-def _chosen_by_truth(source: Source, found: Iterator[Found]) -> Found:
-    """The best of the grid by frame accuracy plus boundary F1; one macro-action where none has a model."""
+def _nothing_to_tell(source: Source) -> Found:
+    """The labels where there is one macro-action, of which dynamax makes no model."""
+    return Found(np.zeros_like(source.truth), "one macro-action")
 
-    def merit(one: Found) -> float:
-        scores = segmentation_scores(one.labels, source.truth, source.lengths, source.tolerance)
-        return scores.accuracy + scores.boundary_f1
 
-    return max(found, key=merit, default=Found(np.zeros_like(source.truth), "no setting led to a model"))
+def _floors(quick: bool) -> tuple[float, ...]:
+    return QUICK_FLOORS if quick else FLOORS
 
 
 def _starts(source: Source, values: np.ndarray, seed: int, quick: bool) -> list[np.ndarray]:
@@ -226,7 +223,7 @@ def _starts(source: Source, values: np.ndarray, seed: int, quick: bool) -> list[
     rng, starts = np.random.default_rng(seed), []
     for number in range(QUICK_RESTARTS if quick else RESTARTS):
         if number % 2:
-            labels = _clustered(values, source.macros, seed + number)
+            labels = clustered(values, source.macros, seed + number)
         else:
             cut = zip(source.lengths.tolist(), source.changes, strict=True)
             numbered = [
@@ -247,21 +244,5 @@ def _sticky(source: Source) -> np.ndarray:
 
 
 def _standardised(values: np.ndarray) -> np.ndarray:
-    return (values - values.mean(0)) / values.std(0)
-
-
-def _sliding_means(values: np.ndarray, trajectories: list[slice], window: int) -> np.ndarray:
-    half, means = window // 2, np.empty_like(values)
-    for frames in trajectories:
-        sums = np.vstack([np.zeros_like(values[:1]), values[frames].cumsum(0)])
-        places = np.arange(len(sums) - 1)
-        first, last = np.maximum(places - half, 0), np.minimum(places + half + 1, len(places))
-        means[frames] = (sums[last] - sums[first]) / (last - first)[:, None]
-    return means
-
-
-def _clustered(values: np.ndarray, macros: int, seed: int, weights: np.ndarray | None = None) -> np.ndarray:
-    from sklearn.cluster import KMeans
-
-    found = KMeans(min(macros, len(values)), n_init=4, random_state=seed).fit(values, sample_weight=weights)
-    return found.labels_.astype(np.int64)
+    """Unit variance in every column; one that is constant stays so."""
+    return (values - values.mean(0)) / np.maximum(values.std(0), 1e-12)

@@ -3,6 +3,8 @@
 digits      scikit-learn's digits, a hidden rule of the action changing at hidden points
 two_flags   a recorded dataset of TwoFlags-v0, the phase its truth
 babyai      recorded datasets of BabyAI levels, the bot's subgoal their truth
+
+Those whose actions are vectors are read by segmentation_vectors.py.
 """
 
 import zlib
@@ -16,13 +18,30 @@ import numpy as np
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.metrics import transitions
 
-__all__ = ["COMPONENTS", "TOLERANCES", "Source", "check_recorded", "from_dataset", "sources"]
+__all__ = [
+    "COMPONENTS",
+    "TOLERANCES",
+    "VECTOR_TOLERANCES",
+    "NotApplicableError",
+    "Source",
+    "check_recorded",
+    "from_dataset",
+    "sources",
+    "standardised",
+    "vector_columns",
+]
 
 TOLERANCES = {"digits": 3, "two_flags": 10, "babyai": 1}  # frames that a boundary may be off
+VECTOR_TOLERANCES = {"metaworld": 5, "mocap6": 10, "cr5": 5}  # likewise, where actions are vectors
+CONSTANT = 1e-4  # standard deviation up to which a column says nothing
 RULES, QUICK_RULES = (2, 3, 4), (2,)
 QUICK_EPISODES = 6
 COMPONENTS = 32  # principal components that a peer may ask for, of all blocks
 HALF = 2  # sides of images are halved before their principal components are sought
+
+
+class NotApplicableError(ValueError):
+    """A method has no answer for a source; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +51,11 @@ class Source:
     Attributes:
         name, case: "digits" and "Q=3"; "babyai" and the level.
         frames: float32 [frames, columns], or RGB images uint8 [frames, height, width, 3].
-        actions, truth: int64 [frames].
+        actions: classes, int64 [frames], or vectors, float32 [frames, dimensions].
         lengths: int64 [trajectories].
+        truth: int64 [frames].
+        gripper: the dimension of vectors that closes a gripper; None where none is seen.
+        body: how many columns of the frames, from the first on, are the robot itself; None for all.
     """
 
     name: str
@@ -42,6 +64,13 @@ class Source:
     actions: np.ndarray
     lengths: np.ndarray
     truth: np.ndarray
+    gripper: int | None = None
+    body: int | None = None
+
+    @property
+    def vectors(self) -> bool:
+        """Whether actions are vectors."""
+        return self.actions.ndim == 2
 
     @property
     def macros(self) -> int:
@@ -51,7 +80,7 @@ class Source:
     @property
     def tolerance(self) -> int:
         """Frames that a boundary may be off."""
-        return TOLERANCES[self.name]
+        return (TOLERANCES | VECTOR_TOLERANCES)[self.name]
 
     @cached_property
     def changes(self) -> list[int]:
@@ -77,9 +106,11 @@ class Source:
     def components(self) -> list[np.ndarray]:
         """Whitened principal components, largest first, float64 [frames, up to `COMPONENTS`]: unit variance.
 
-        One block for numbers. For images two: of their pixels, and of the difference to the previous image,
-        which apart is not drowned by the image.
+        One block for numbers, where actions are vectors of the standardised `vector_columns`. For images two:
+        of their pixels, and of the difference to the previous image, which apart is not drowned by the image.
         """
+        if self.vectors:
+            return [_whitened(standardised(vector_columns(self)))]
         if self.frames.ndim == 2:
             return [_whitened(self.frames)]
         n_frames, height, width, _ = self.frames.shape
@@ -90,6 +121,25 @@ class Source:
         for frames in self.trajectories:
             changes[frames][1:] = np.diff(images[frames], axis=0)
         return [_whitened(images), _whitened(changes)]
+
+
+def vector_columns(source: Source) -> np.ndarray:
+    """What every method sees where actions are vectors: the state and its change over one frame.
+
+    float32 [frames, twice the state's columns]; the change is 0 at the first frame of a trajectory.
+    """
+    changes = np.zeros_like(source.frames)
+    for frames in source.trajectories:
+        changes[frames][1:] = np.diff(source.frames[frames], axis=0)
+    return np.hstack([source.frames, changes])
+
+
+def standardised(values: np.ndarray) -> np.ndarray:
+    """Mean 0 and variance 1 in every column, float64, those that hardly vary left out."""
+    values = values.astype(np.float64)
+    spread = values.std(0)
+    kept = spread > CONSTANT
+    return (values[:, kept] - values[:, kept].mean(0)) / spread[kept]
 
 
 def sources(
@@ -148,6 +198,8 @@ def _whitened(values: np.ndarray) -> np.ndarray:
     """Principal components by a randomised solver, those without variance left out."""
     from sklearn.decomposition import PCA
 
+    if not values.shape[1]:
+        return np.zeros(values.shape)
     count = min(COMPONENTS, *values.shape)
     found = PCA(count, svd_solver="randomized", random_state=0).fit(values)
     kept = found.explained_variance_ > 1e-6 * found.explained_variance_[0]

@@ -17,9 +17,17 @@ from torch import Tensor
 
 from dpmacro.boosting.losses.vectors import HuberLoss
 from dpmacro.discovery.candidates import Task
-from dpmacro.discovery.search import boosted, discover, raced
+from dpmacro.discovery.search import VECTOR_SHRINKAGE, discover
 from dpmacro.discovery.settings import SearchSettings
-from dpmacro.discovery.starts import KINDS, Moments, evidence_of, linear_alternation, vector_starts
+from dpmacro.discovery.starts import (
+    KINDS,
+    Moments,
+    boosted_in_turn,
+    evidence_of,
+    linear_alternation,
+    raced,
+    vector_starts,
+)
 from dpmacro.estimator.arguments import Standardiser
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
@@ -31,7 +39,6 @@ Loss: of the alternation's last round, from the same columns for every start of 
 starts that end within 1% of the least loss of the seed. Accuracy, boundary F1: of the start that ends lowest.
 linear: the starts after the linear alternation. search: what the whole search found, its survivors alone."""
 CLOSE = 1.01
-SHRINKAGE = 0.3  # that of the search
 CASES = {  # macro-actions, transitions, tolerance in frames
     "tabletop": [(4, 3, 10)],
     "tabletop_phases": [(8, 7, 10)],
@@ -115,14 +122,12 @@ def rows(case: Case, options: StartOptions) -> Iterator[str]:
     ended, seconds = {}, {}
     for name, own in groups.items():
         clock = time.process_time()
-        generator = torch.Generator().manual_seed(task.seed)
-        ended[name] = boosted(case.data, task, own, settings, SHRINKAGE, generator)
+        ended[name] = boosted_in_turn(case.data, task, own, settings, VECTOR_SHRINKAGE)
         seconds[name] = time.process_time() - clock
     clock = time.process_time()
-    survivors = raced(case.data, task, settings, options.restarts, SHRINKAGE)
+    survivors = raced(case.data, task, options.restarts)
+    ended["search"] = boosted_in_turn(case.data, task, survivors, settings, VECTOR_SHRINKAGE)
     seconds["search"] = time.process_time() - clock
-    generator = torch.Generator().manual_seed(task.seed)
-    ended["search"] = boosted(case.data, task, survivors, settings, SHRINKAGE, generator)
     best = min(float(one.loss[-1].min()) for one in ended.values())
     for name, one in ended.items():
         loss = one.loss[-1]
@@ -134,7 +139,7 @@ def rows(case: Case, options: StartOptions) -> Iterator[str]:
         )
     if options.choose:
         clock = time.process_time()
-        found = discover(case.data, task, settings, options.restarts, SHRINKAGE)
+        found = discover(case.data, task, settings, options.restarts, VECTOR_SHRINKAGE)
         yield (
             f"{case.name:24s} {task.seed:4d} {'chosen':16s} {len(found.candidates):3d} {'':8s} {'':8s} "
             f"{case.scores(found.kept.labels)} {time.process_time() - clock:8.1f}"

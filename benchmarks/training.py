@@ -37,8 +37,8 @@ def train(dataset: str, frames: int) -> dict[str, Any]:
     episodes, total = [], 0
     for row in store.choose(None):
         if total < frames:
-            episodes.append(row["episode_index"])
-            total += row["length"]
+            episodes.append(row.index)
+            total += row.length or 0
     with tempfile.TemporaryDirectory() as folder:
         command = [
             *(sys.executable, "train.py", f"--dataset.root={Path(dataset).resolve()}"),

@@ -40,8 +40,8 @@ class DatasetOptions:
     """Folder of a LeRobot dataset."""
     episodes: list[int] | None = None
     """Episodes to segment; all by default."""
-    camera: str | None = None
-    """Image feature to look at, where the dataset has several."""
+    action: list[str] | None = None
+    """Feature that holds the action, or several with a number each, as in training."""
     truth: str | None = None
     """Integer column with the true macro-labels to compare with; "none" or by default the recorded one."""
 
@@ -78,7 +78,12 @@ def main(options: AnnotateOptions) -> None:
         raise ValueError(f"{output_dir} already holds a {NUMBERS}: give another --output_dir")
     policy = MacroPolicy.load(path)
     demonstrations = Demonstrations.load(
-        dataset.root, dataset.episodes, dataset.camera, dataset.truth, policy.config.image_transform
+        dataset.root,
+        dataset.episodes,
+        inputs=[key for key, one in policy.config.inputs.items() if one.shape],
+        action=dataset.action,
+        truth=dataset.truth,
+        transform=policy.config.image_transform,
     )
     summary = Summary(
         policy,

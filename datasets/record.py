@@ -17,13 +17,12 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 from tqdm import tqdm
 
-import dpmacro.worlds  # noqa: F401  registers the world
 from dpmacro.data.lerobot.writer import DemonstrationWriter
 from dpmacro.utils import cli
 from dpmacro.utils.processes import spread, stopped
+from dpmacro.worlds import expert_of, recording_of
+from dpmacro.worlds.base import Expert
 from dpmacro.worlds.two_flags.env import ACTIONS, TwoFlagsConfig, TwoFlagsEnv
-from dpmacro.worlds.two_flags.recording import PHASES, TASK
-from dpmacro.worlds.two_flags.teacher import Teacher
 
 WORLD = "TwoFlags-v0"
 FPS: int = TwoFlagsEnv.metadata["render_fps"]  # type: ignore[assignment]
@@ -68,16 +67,21 @@ def main(cfg: RecordConfig) -> None:
     """Record the dataset and say in one line what came of it."""
     start = time.perf_counter()
     world = {"id": WORLD, **asdict(cfg.world)}
+    told = recording_of(WORLD)
     kept = frames = tried = 0
     with (
-        DemonstrationWriter.create(cfg.root, ACTIONS, FPS, world, cfg.view, PHASES, symmetric=True) as writer,
+        DemonstrationWriter.create(
+            cfg.root, ACTIONS, FPS, world, cfg.view, told.truth, symmetric=told.symmetric
+        ) as writer,
         closing(teacher_runs(world, cfg.view, cfg.seed, cfg.workers)) as runs,
         tqdm(total=cfg.episodes, unit="episode") as bar,
     ):
         for run in runs:
             tried += 1
             if run is not None:
-                writer.add_episode(run.images, run.actions, run.truth, run.rewards, True, TASK, run.views)
+                writer.add_episode(
+                    run.images, run.actions, run.truth, run.rewards, True, told.task, run.views
+                )
                 kept += 1
                 frames += len(run.actions)
                 bar.set_postfix(frames=frames, tried=tried)
@@ -128,11 +132,11 @@ def run_teacher(world: tuple[tuple[str, Any], ...], view: bool, seed: int) -> Ru
 
 
 @functools.cache
-def _stage(world: tuple[tuple[str, Any], ...], view: bool) -> tuple[gym.Env, Teacher]:
+def _stage(world: tuple[tuple[str, Any], ...], view: bool) -> tuple[gym.Env, Expert]:
     """One world and teacher a process, for one run after another."""
     options = dict(world)
     env = gym.make(options.pop("id"), render_mode="rgb_array" if view else None, **options)
-    return env, Teacher()
+    return env, expert_of(WORLD)
 
 
 if __name__ == "__main__":

@@ -1,22 +1,26 @@
 """The report on a segmentation: pictures as PNG and in TensorBoard, its numbers as JSON, one HTML page."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
 from dpmacro import figures
 from dpmacro.annotation import html
-from dpmacro.annotation.pictures import Picture, chosen_pixels
+from dpmacro.annotation.pictures import Picture, importances
 from dpmacro.annotation.summary import SCORES, Summary
+from dpmacro.features.base import input_name
+from dpmacro.policy.config import InputConfig
 from dpmacro.utils.files import replacing
 
 __all__ = ["NUMBERS", "PAGE", "SHOWN", "score_text", "write_report"]
 
 SHOWN = 30  # demonstrations with a picture of their own at most
 UNSURE = 10  # demonstrations in the table of those with the least confidence
+LISTED = 12  # names of actions at most
 PAGE, NUMBERS = "segmentation.html", "segmentation.json"
 
 
@@ -66,16 +70,8 @@ def _score_rows(summary: Summary) -> list[list[str]]:
 
 def _parts(summary: Summary, shown: list[tuple[str, str]]) -> Iterator[str]:
     """The page from top to bottom."""
-    config, lengths = summary.policy.config, summary.lengths
-    bound = len(summary.cost_by_bound) - 1
-    yield html.facts(
-        {
-            **summary.sources,
-            "demonstrations": f"{len(lengths)}, {int(lengths.sum()):,} frames",
-            "macro-actions": f"{config.macros}, with at most {bound} transitions in a demonstration",
-            "features": config.features,
-        }
-    )
+    lengths = summary.lengths
+    yield html.facts(_facts(summary))
     yield html.section("Scores", _scores(summary))
     yield html.section("Macro-actions", [_macros(summary)])
     yield html.section("Where to look first", [_least_sure(summary)])
@@ -84,9 +80,41 @@ def _parts(summary: Summary, shown: list[tuple[str, str]]) -> Iterator[str]:
         if heading == "Demonstrations" and len(parts) < len(lengths):
             parts.insert(0, html.paragraph(f"The first {len(parts)} of {len(lengths)}."))
         yield html.section(heading, parts)
-    if chosen_pixels(summary.policy) is None:
+    if importances(summary.policy) is None:
         text = "The classifiers are networks. They look at whole images, so there is no map of chosen pixels."
         yield html.section("What the classifiers look at", [html.paragraph(text)])
+
+
+def _facts(summary: Summary) -> dict[str, str]:
+    """What was segmented, and by what."""
+    config, lengths = summary.policy.config, summary.lengths
+    chain = config.order == "chain"
+    bound, names = config.macros - 1 if chain else len(summary.cost_by_bound) - 1, config.action_names
+    order = "chain: each once, one after the other" if chain else "free"
+    facts = {
+        **summary.sources,
+        "demonstrations": f"{len(lengths)}, {int(lengths.sum()):,} frames",
+        "macro-actions": f"{config.macros}, with at most {bound} transitions in a demonstration",
+        "order": order,
+        "inputs": ", ".join(config.inputs),
+        "cameras": ", ".join(map(_camera, config.cameras, (config.inputs[key] for key in config.cameras))),
+        "actions": f"{len(names)} {'numbers' if config.vector else 'classes'}: {_listed(names)}",
+    }
+    return {name: value for name, value in facts.items() if value}
+
+
+def _camera(key: str, one: InputConfig) -> str:
+    """A camera with the size of its images, "front 64x48, shrunk from 640x480"."""
+    height, width, _ = one.shape
+    stored = one.stored_shape
+    return f"{input_name(key)} {width}x{height}" + (
+        f", shrunk from {stored[1]}x{stored[0]}" if stored else ""
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
 
 
 def _scores(summary: Summary) -> list[str]:
@@ -103,12 +131,29 @@ def _scores(summary: Summary) -> list[str]:
 def _macros(summary: Summary) -> str:
     rows = []
     for macro in summary.macros:
-        action, share = max(macro["actions"].items(), key=lambda item: item[1])
-        usual = f"{action}, {share:.0%}" if macro["segments"] else "none"
         shown = f"{macro['share']:.1%}", str(macro["segments"]), f"{macro['frames_per_segment']:.0f}"
-        rows.append([str(macro["macro"]), *shown, f"{macro['confidence']:.2f}", usual])
-    head = ["macro-action", "share of frames", "segments", "frames a segment", "confidence", "usual action"]
-    return html.table(head, rows, "Confidence is the mean over frames, 0 to 1.")
+        rows.append([str(macro["macro"]), *shown, f"{macro['confidence']:.2f}", _usual(macro)])
+    head = ["macro-action", "share of frames", "segments", "frames a segment", "confidence"]
+    note = "Confidence is the mean over frames, 0 to 1."
+    if not summary.demonstrations.vector:
+        return html.table([*head, "usual action"], rows, note)
+    note += (
+        " What tells most is the number of the action whose mean over the macro-action's frames is farthest "
+        "from its mean over all frames, in standard deviations (sd) of all frames."
+    )
+    return html.table([*head, "what tells most"], rows, note)
+
+
+def _usual(macro: dict[str, Any]) -> str:
+    """What the actions of a macro-action have of their own."""
+    if not macro["segments"]:
+        return "none"
+    if "actions" in macro:
+        action, share = max(macro["actions"].items(), key=lambda item: item[1])
+        return f"{action}, {share:.0%}"
+    most = max(macro["dimensions"], key=lambda dimension: abs(dimension["deviations"]))
+    way = "high" if most["deviations"] > 0 else "low"
+    return f"{most['name']} {way}, {most['deviations']:+.1f} sd"
 
 
 def _least_sure(summary: Summary) -> str:

@@ -1,15 +1,17 @@
 """The numbers of a policy's segmentation of demonstrations: segments, and scores beside those of chance."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from dpmacro.annotation.annotate import Annotation
+from dpmacro.annotation.dimensions import action_lines, standardised
 from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.figures import Line
 from dpmacro.metrics import match_labels, random_cuts_like, segmentation_scores, segments, uniform_cuts
 from dpmacro.policy.policy import MacroPolicy
 
@@ -117,15 +119,23 @@ class Summary:
         return [float(self.frame_confidence[part].mean()) for part in self.demonstrations.trajectories]
 
     @cached_property
+    def action_lines(self) -> list[Line]:
+        """The dimensions of vectors that are worth drawing, of all frames; [] for classes."""
+        return action_lines(self.demonstrations, self.labels) if self.demonstrations.vector else []
+
+    @cached_property
     def macros(self) -> list[dict[str, Any]]:
-        """For every macro-action its share of frames, segments, confidence and the share of each action."""
-        names = self.demonstrations.action_names
+        """For every macro-action its share of frames, segments, confidence, and what its actions are.
+
+        `actions` holds the share of each class by its name. For vectors `dimensions` lists the name and the
+        mean of each, and by how many standard deviations that is off the mean of all frames; it is empty
+        where the macro-action has no frame.
+        """
         result = []
-        for macro in range(self.policy.config.macros):
+        told = self._dimensions() if self.demonstrations.vector else self._classes()
+        for macro, actions in enumerate(told):
             held = self.labels == macro
             n_segments = sum(found == macro for part in self.segments for found, _, _ in part)
-            counts = np.bincount(self.demonstrations.actions[held], minlength=len(names))
-            shares = counts / max(int(held.sum()), 1)
             result.append(
                 {
                     "macro": macro,
@@ -133,10 +143,32 @@ class Summary:
                     "segments": n_segments,
                     "frames_per_segment": float(held.sum() / n_segments) if n_segments else 0.0,
                     "confidence": float(self.frame_confidence[held].mean()) if n_segments else 0.0,
-                    "actions": dict(zip(names, shares.tolist(), strict=True)),
+                    **actions,
                 }
             )
         return result
+
+    @property
+    def _held(self) -> Iterator[Bool[np.ndarray, " frames"]]:
+        """The frames of every macro-action."""
+        return (self.labels == macro for macro in range(self.policy.config.macros))
+
+    def _classes(self) -> Iterator[dict[str, Any]]:
+        names, actions = self.demonstrations.action_names, self.demonstrations.actions
+        for held in self._held:
+            shares = np.bincount(actions[held], minlength=len(names)) / max(int(held.sum()), 1)
+            yield {"actions": dict(zip(names, shares.tolist(), strict=True))}
+
+    def _dimensions(self) -> Iterator[dict[str, Any]]:
+        names, actions = self.demonstrations.action_names, self.demonstrations.actions
+        off = standardised(actions)
+        for held in self._held:
+            means = [
+                values[held].mean(0, dtype=np.float64).tolist() for values in (actions, off) if held.any()
+            ]
+            rows = zip(names, *means, strict=True) if means else ()
+            keys = ("name", "mean", "deviations")
+            yield {"dimensions": [dict(zip(keys, row, strict=True)) for row in rows]}
 
     def as_json(self) -> dict[str, Any]:
         """Return all of it in the form of segmentation.json."""

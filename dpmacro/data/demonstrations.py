@@ -1,21 +1,22 @@
 """Demonstrations: what was seen and which action was taken, frame after frame, read from LeRobot datasets."""
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int64, UInt8
 
-from dpmacro.data.actions import discrete_actions
-from dpmacro.data.images import DatasetError, FrameBuffer, ImageTransform
-from dpmacro.data.lerobot.reader import StoredDataset
+from dpmacro.data.actions import Actions
+from dpmacro.data.images import DatasetError, ImageTransform
+from dpmacro.data.lerobot.frames import TOLERANCE
+from dpmacro.data.loading import load_parts
 
 __all__ = ["DatasetError", "Demonstrations"]
 
-AS_STORED = ImageTransform()
+AS_USUAL = ImageTransform()
+IMAGE = "observation.image"  # what LeRobot calls the images of an only camera
 
 
 @dataclass(frozen=True)
@@ -23,86 +24,111 @@ class Demonstrations:
     """Trajectories, concatenated frame by frame; `lengths` says where each ends.
 
     Attributes:
-        images: what the policy sees, RGB.
-        actions: the action taken at each image, 0..M-1.
+        observations: what the policy sees, keyed as in LeRobot: RGB images of cameras, uint8
+            [frames, height, width, 3]; vectors, float32 [frames, size]; where the dataset has several tasks,
+            `task_index`, int64 [frames]. At least one.
+        actions: the action taken at each frame: classes 0..M-1 [frames], or vectors [frames, dims].
         lengths: frames per trajectory, at least 2.
-        action_names: M names; the numbers as text where the dataset names none.
-        fps: frames per second.
+        action_names: M names of classes, or one per dimension; numbers as text where the dataset names none.
+        fps: frames per second, as stored.
         truth: the true macro-label, for metrics only, 0..K-1; None where the data has none.
         world: {"id": "TwoFlags-v0", **options} of the world recorded from; {} where the data does not say.
         root: the dataset's folder.
         truth_name: the column that `truth` comes from, "phase" or "subgoal" say; None without truth.
         truth_classes: names of the true labels 0..K-1; the numbers as text where the data names none.
-        stored_shape: height and width of the images before they were shrunk; None where they were not.
+        stored_shapes: height and width of a camera's images before they were shrunk; None where not.
         symmetric: whether the world and its mirror image are alike, as the dataset declares.
+        state_names: names of the numbers of every vector in `observations`.
+        tasks: what there is to do, in words, by task_index; () where the data does not say.
+        notes: what a user should know of the choices made in reading, a line each.
     """
 
-    images: UInt8[np.ndarray, "frames height width 3"]
-    actions: Int64[np.ndarray, " frames"]
+    observations: dict[str, np.ndarray]
+    actions: Actions
     lengths: Int64[np.ndarray, " trajectories"]
     action_names: tuple[str, ...]
-    fps: int
+    fps: int | float
     truth: Int64[np.ndarray, " frames"] | None
     world: dict[str, Any]
     root: Path
     truth_name: str | None = None
     truth_classes: tuple[str, ...] = ()
-    stored_shape: tuple[int, int] | None = None
+    stored_shapes: dict[str, tuple[int, int] | None] = field(default_factory=dict)
     symmetric: bool = False
+    state_names: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    tasks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of_images(
+        cls, images: UInt8[np.ndarray, "frames height width 3"], *parts: Any, camera: str = IMAGE, **more: Any
+    ) -> "Demonstrations":
+        """Demonstrations of one camera: images in place of `observations`, other arguments as they are."""
+        return cls({camera: images}, *parts, **more)
 
     @classmethod
     def load(
         cls,
         root: str | Path,
         episodes: Sequence[int] | None = None,
+        *,
+        inputs: Sequence[str] | None = None,
         camera: str | None = None,
+        action: str | Sequence[str] | None = None,
         truth: str | None = None,
-        transform: ImageTransform = AS_STORED,
+        transform: ImageTransform = AS_USUAL,
+        task: str | int | None = None,
+        tolerance_s: float = TOLERANCE,
     ) -> "Demonstrations":
-        """Reads a LeRobot v3 dataset with discrete actions, without touching the network.
+        """Reads a LeRobot dataset of format v3 or v2, without touching the network.
 
-        Actions are `discrete_action` where there is one, else `action`: whole numbers of any type, or
-        one-hot vectors. `episodes` chooses some, in the order given; `camera` names the image feature where
-        there are several (it may stay None where exactly one of them is stored as images rather than video);
-        `truth` names the integer column of true labels, "none" for no truth; by default it is the first that
-        was recorded as such, else `phase` or `subgoal`, where there is one. `transform` says
-        what is done to the images.
+        Args:
+            root: the dataset's folder.
+            episodes: those to read, in the order given; all by default.
+            inputs: features that the policy sees. By default all cameras and all vectors that begin with
+                `observation.`; where exactly one camera is stored as images, those stored as video are left
+                out. The task is seen wherever the dataset has several.
+            camera: short for `inputs` of this one camera.
+            action: the feature, or features, to learn. By default `discrete_action`, else `action`, else
+                `actions`, else all that begin with `action.`. Whole numbers and one-hot vectors are classes.
+            truth: the column of true labels, integers or text; "none" for no truth. By default the first that
+                was recorded as such, else `phase` or `subgoal`, where there is one.
+            transform: what is done to the images.
+            task: read only the episodes of this task, by its words or its task_index.
+            tolerance_s: seconds that a frame of a video may be off its recorded time, as in LeRobot.
 
-        Raises DatasetError, one line that names folder, value and remedy, for anything it cannot read as
-        demonstrations of at least two frames each.
+        Raises DatasetError, one line that names the place, the value and a remedy, for anything it cannot
+        read as demonstrations of at least two frames each.
         """
-        root = Path(root)
-        store = StoredDataset.open(root)
-        chosen = store.choose(episodes)
-        for row in chosen:
-            if row["length"] < 2:
+        if camera is not None:
+            if inputs is not None:
                 raise DatasetError(
-                    f"dataset {root}: episode {row['episode_index']} has {row['length']} frame; "
-                    "dpmacro needs at least two frames per episode"
+                    f"dataset {root}: camera={camera} and inputs={list(inputs)}; give one of them"
                 )
-        camera = _choose_camera(store, camera)
-        truth = _choose_truth(store, truth)
-        wanted = dict.fromkeys(("action", "discrete_action", truth))
-        names = [name for name in wanted if name is not None and name in store.features]
-        columns = store.columns(names, chosen)
-        actions, action_names = discrete_actions(store, columns)
-        labels, classes = (None, ()) if truth is None else _true_labels(store, truth, columns[truth])
-        buffer = FrameBuffer(len(actions), transform, f"dataset {root}, {camera}")
-        store.fill(buffer, camera, chosen)
-        return cls(
-            images=buffer.images,
-            actions=actions,
-            lengths=np.array([row["length"] for row in chosen], np.int64),
-            action_names=action_names,
-            fps=int(store.info["fps"]),
-            truth=labels,
-            world=store.world,
-            root=root,
-            truth_name=truth,
-            truth_classes=classes,
-            stored_shape=buffer.stored_shape,
-            symmetric=store.symmetric,
-        )
+            inputs = [camera]
+        return cls(**load_parts(Path(root), episodes, inputs, action, truth, transform, task, tolerance_s))
+
+    @property
+    def vector(self) -> bool:
+        """Whether actions are vectors of numbers rather than classes."""
+        return self.actions.ndim == 2
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The observations that are images."""
+        return tuple(name for name, values in self.observations.items() if values.ndim == 4)
+
+    @property
+    def images(self) -> UInt8[np.ndarray, "frames height width 3"]:
+        """What the first camera sees. Raises ValueError where there is none."""
+        if not self.cameras:
+            raise ValueError(f"{self.root} has no camera: it has {', '.join(self.observations)}")
+        return self.observations[self.cameras[0]]
+
+    @property
+    def stored_shape(self) -> tuple[int, int] | None:
+        """Height and width of the first camera's images before they were shrunk; None where they were not."""
+        return self.stored_shapes.get(self.cameras[0]) if self.cameras else None
 
     @property
     def trajectories(self) -> list[slice]:
@@ -123,7 +149,7 @@ class Demonstrations:
         frames = np.concatenate([np.arange(slices[index].start, slices[index].stop) for index in chosen])
         return replace(
             self,
-            images=self.images[frames],
+            observations={name: values[frames] for name, values in self.observations.items()},
             actions=self.actions[frames],
             lengths=self.lengths[chosen],
             truth=None if self.truth is None else self.truth[frames],
@@ -132,73 +158,40 @@ class Demonstrations:
     def joined(self, others: "Demonstrations") -> "Demonstrations":
         """These trajectories, then the others; truth stays where both have the same column.
 
-        Raises ValueError where images or actions differ.
+        Raises ValueError where observations or actions differ.
         """
-        for what, ours, theirs in (
-            ("images of", self.images.shape[1:3], others.images.shape[1:3]),
+        ours, theirs = (
+            {name: one.shape[1:] for name, one in of.observations.items()} for of in (self, others)
+        )
+        if ours.keys() != theirs.keys():
+            raise ValueError(
+                f"{self.root} has {', '.join(ours)} and {others.root} {', '.join(theirs)}: join like "
+                "with like"
+            )
+        pairs: list[tuple[str, Any, Any]] = [
+            (f"{'images' if name in self.cameras else 'vectors'} of", shape[:2], theirs[name][:2])
+            for name, shape in ours.items()
+        ]
+        pairs += [
             ("the actions", self.action_names, others.action_names),
-        ):
-            if ours != theirs:
+            ("the tasks", self.tasks, others.tasks),
+        ]
+        pairs += [("vectors as actions:", self.vector, others.vector)]
+        for what, one, other in pairs:
+            if one != other:
                 raise ValueError(
-                    f"{self.root} has {what} {ours} and {others.root} {theirs}: join like with like"
+                    f"{self.root} has {what} {one} and {others.root} {other}: join like with like"
                 )
         same_truth = self.truth_name is not None and self.truth_name == others.truth_name
         return replace(
             self,
-            images=np.concatenate([self.images, others.images]),
+            observations={
+                name: np.concatenate([values, others.observations[name]])
+                for name, values in self.observations.items()
+            },
             actions=np.concatenate([self.actions, others.actions]),
             lengths=np.concatenate([self.lengths, others.lengths]),
             truth=np.concatenate([self.truth, others.truth]) if same_truth else None,
             truth_name=self.truth_name if same_truth else None,
             truth_classes=max(self.truth_classes, others.truth_classes, key=len) if same_truth else (),
         )
-
-
-def _choose_camera(store: StoredDataset, camera: str | None) -> str:
-    """The image feature that the policy sees."""
-    cameras = [name for name, feature in store.features.items() if feature["dtype"] in ("image", "video")]
-    if not cameras:
-        raise DatasetError(f"dataset {store.root}: has no image feature; dpmacro learns from images")
-    if camera is not None:
-        if camera not in cameras:
-            raise DatasetError(f"dataset {store.root}: no camera {camera!r}; it has {', '.join(cameras)}")
-        return camera
-    lossless = [name for name in cameras if store.features[name]["dtype"] == "image"]
-    for only in (cameras, lossless):
-        if len(only) == 1:
-            return only[0]
-    raise DatasetError(f"dataset {store.root}: several cameras, {', '.join(cameras)}; name one as camera")
-
-
-def _choose_truth(store: StoredDataset, truth: str | None) -> str | None:
-    """The column of true labels; None where neither the caller nor the data names one."""
-    whole = [
-        name
-        for name, feature in store.features.items()
-        if re.fullmatch(r"u?int\d+", feature["dtype"]) and list(feature["shape"]) in ([], [1])
-    ]
-    if truth is None:
-        return next((name for name in (*store.truth, "phase", "subgoal") if name in whole), None)
-    if truth == "none":
-        return None
-    if truth not in whole:
-        raise DatasetError(
-            f"dataset {store.root}: no integer column {truth!r} to be the truth; it has {', '.join(whole)}"
-        )
-    return truth
-
-
-def _true_labels(
-    store: StoredDataset, truth: str, column: np.ndarray
-) -> tuple[Int64[np.ndarray, " frames"], tuple[str, ...]]:
-    """The labels of a column and the names of their classes, numbers as text where the dataset names none."""
-    labels = column.reshape(-1).astype(np.int64)
-    if labels.min() < 0:
-        frame = int((labels < 0).argmax())
-        raise DatasetError(
-            f"dataset {store.root}: {truth} {labels[frame]} of frame {frame} is negative; "
-            "name another column as truth, or none"
-        )
-    named = tuple(store.truth.get(truth, ()))
-    largest = max(int(labels.max()), -1 if named else store.largest(truth))
-    return labels, named + tuple(str(label) for label in range(len(named), largest + 1))

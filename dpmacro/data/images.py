@@ -1,6 +1,8 @@
 """How images are held in memory: their size, shrunk if need be, and how much they may take."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -8,11 +10,26 @@ from jaxtyping import UInt8
 
 from dpmacro.features.memory import GIB
 
-__all__ = ["DatasetError", "FrameBuffer", "ImageTransform"]
+__all__ = ["DatasetError", "FrameBuffer", "ImageTransform", "natural_size", "refuse_too_many"]
+
+LARGEST = (128, 96)  # images of more pixels are shrunk, unless a size is asked for
+USUAL = (64, 48)  # about as many pixels are kept of them
 
 
 class DatasetError(ValueError):
     """A dataset that cannot be read, or not as demonstrations: one line with folder, value and remedy."""
+
+
+def natural_size(width: int, height: int) -> tuple[int, int]:
+    """The size that images are held in unless another is asked for: small ones as they are stored.
+
+    Where there are more pixels than in 128x96, about as many as in 64x48 are kept, of the same aspect ratio,
+    with even sides.
+    """
+    if width * height <= LARGEST[0] * LARGEST[1]:
+        return width, height
+    scale = (USUAL[0] * USUAL[1] / (width * height)) ** 0.5
+    return max(2 * round(width * scale / 2), 2), max(2 * round(height * scale / 2), 2)
 
 
 @dataclass(frozen=True)
@@ -22,31 +39,46 @@ class ImageTransform:
     Sizes are (width, height) in pixels.
 
     Attributes:
-        size: what images are shrunk to, by the mean over areas; None leaves them as they are stored.
-        stored: the only size that stored images may have, that of a policy's training; None allows any.
+        size: what images are shrunk to, by the mean over areas: one for all cameras, or one by the camera's
+            name; `natural_size` where it is None or a camera is not named.
+        stored: the only size that stored images may have, that of a policy's training, likewise for all
+            cameras or by name; None allows any.
         memory: GiB that all transformed images may take together; None allows any.
     """
 
-    size: tuple[int, int] | None = None
-    stored: tuple[int, int] | None = None
+    size: tuple[int, int] | Mapping[str, tuple[int, int]] | None = None
+    stored: tuple[int, int] | Mapping[str, tuple[int, int]] | None = None
     memory: float | None = None
+
+    def of(self, camera: str) -> "ImageTransform":
+        """What is done to the images of one camera."""
+        size, stored = (
+            one.get(camera) if isinstance(one, Mapping) else one for one in (self.size, self.stored)
+        )
+        return replace(self, size=size and (size[0], size[1]), stored=stored)
+
+    def sized(self, width: int, height: int, name: str) -> tuple[int, int]:
+        """The size of transformed images. Raises DatasetError, beginning with `name`, for one not allowed."""
+        assert not isinstance(self.size, Mapping), "take the transform of one camera"
+        assert not isinstance(self.stored, Mapping), "take the transform of one camera"
+        if self.stored is not None and self.stored != (width, height):
+            raise DatasetError(
+                f"{name}: images are {width}x{height}, the policy was trained on {_text(self.stored)}"
+            )
+        size = natural_size(width, height) if self.size is None else self.size
+        if size[0] > width or size[1] > height:
+            raise DatasetError(
+                f"{name}: images are {width}x{height}, image_size is {_text(size)}: ask for smaller ones"
+            )
+        return size
 
     def apply(
         self, image: UInt8[np.ndarray, "height width 3"], name: str
     ) -> UInt8[np.ndarray, "new_height new_width 3"]:
         """The transformed image. Raises DatasetError, beginning with `name`, for a size not allowed."""
         height, width = image.shape[:2]
-        if self.stored is not None and self.stored != (width, height):
-            raise DatasetError(
-                f"{name}: images are {width}x{height}, the policy was trained on {_text(self.stored)}"
-            )
-        if self.size is None or self.size == (width, height):
-            return image
-        if self.size[0] > width or self.size[1] > height:
-            raise DatasetError(
-                f"{name}: images are {width}x{height}, image_size is {_text(self.size)}: ask for smaller ones"
-            )
-        return cv2.resize(image, self.size, interpolation=cv2.INTER_AREA)
+        size = self.sized(width, height, name)
+        return image if size == (width, height) else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
 class FrameBuffer:
@@ -62,14 +94,16 @@ class FrameBuffer:
         self.count, self.transform, self.name = count, transform, name
         self._images: np.ndarray | None = None
         self._stored: tuple[int, ...] = ()
+        self._lock = Lock()
 
     def put(self, place: int, image: UInt8[np.ndarray, "height width 3"]) -> None:
-        """Hold an image at `place`; of many threads the first call must have ended.
+        """Hold an image at `place`; threads may call it side by side.
 
         Raises DatasetError where its size is not that of the others, not allowed, or memory does not do.
         """
-        if self._images is None:
-            self._stored, self._images = image.shape, self._room(self.transform.apply(image, self.name))
+        with self._lock:
+            if self._images is None:
+                self._stored, self._images = image.shape, self._room(self.transform.apply(image, self.name))
         if image.shape != self._stored:
             raise DatasetError(
                 f"{self.name}: frame {place} is {image.shape}, others {self._stored}; resize it"
@@ -89,14 +123,24 @@ class FrameBuffer:
         return None if shape == self.images.shape[1:3] else shape
 
     def _room(self, first: np.ndarray) -> np.ndarray:
-        need, (height, width) = self.count * first.nbytes / GIB, first.shape[:2]
-        if self.transform.memory is not None and need > self.transform.memory:
-            raise DatasetError(
-                f"{self.name}: {self.count} images of {width}x{height} take {need:.2g} GiB, and there are "
-                f"{self.transform.memory:.2g} for them: give more --planner.memory_limit, shrink them, like "
-                f"--dataset.image_size='[{width // 2},{height // 2}]', or take fewer --dataset.episodes"
-            )
+        height, width = first.shape[:2]
+        refuse_too_many(self.name, self.count, [(width, height)], self.transform.memory)
         return np.empty((self.count, *first.shape), np.uint8)
+
+
+def refuse_too_many(name: str, count: int, sizes: Sequence[tuple[int, int]], memory: float | None) -> None:
+    """Raise DatasetError where `count` images of every size (width, height) take more than `memory` GiB."""
+    need = count * sum(3 * width * height for width, height in sizes) / GIB
+    if memory is not None and need > memory:
+        (width, height), several = (
+            max(sizes),
+            "" if len(sizes) == 1 else f" and of {len(sizes) - 1} cameras more",
+        )
+        raise DatasetError(
+            f"{name}: {count} images of {width}x{height}{several} take {need:.2g} GiB, and there are "
+            f"{memory:.2g} for them: give more --planner.memory_limit, shrink them, like "
+            f"--dataset.image_size='[{width // 2},{height // 2}]', or take fewer --dataset.episodes"
+        )
 
 
 def _text(size: tuple[int, int]) -> str:

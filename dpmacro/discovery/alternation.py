@@ -41,12 +41,14 @@ def alternate(
     stage: str,
     on_round: Callable[[Round], None] = lambda _: None,
     switch_costs: SwitchCosts | None = None,
+    order: str = "free",
 ) -> Alternated:
     """Boosting rounds, each followed by a segmentation once `warmup` rounds are over.
 
     Boosting lowers the objective with the labels held, segmentation lowers it with the classifiers held and
     the labels so far among its choices: it never rises but for rounding, and an `ObjectiveWarning` says so
-    where it does. `switch_costs`, with a single start only, join the objective and stay as they are.
+    where it does. `switch_costs`, with a single start only, join the objective and stay as they are. `order`
+    is that of `segment`; with "chain" every start is one.
     `boosting` has a problem for every start and macro-action. Ends early where no problem finds anything
     better than chance and the labels stay as they are.
 
@@ -71,7 +73,7 @@ def alternate(
             costs = costs + switch_costs.staying
         changed = torch.zeros(restarts)
         if number > warmup and n_macros > 1:
-            found = segment(costs.flatten(0, 1), repeated, max_transitions, changing).labels
+            found = segment(costs.flatten(0, 1), repeated, max_transitions, changing, order).labels
             found = found.view(restarts, n_frames)
             changed, labels = (found != labels).float().mean(1), found
         totals = [cost_of(own, cost, lengths, changing) for own, cost in zip(labels, costs, strict=True)]

@@ -139,7 +139,7 @@ def confidence(
     used = candidate.used
     charges = left_out_charges(candidate, task)[:, used].double()
     places = torch.searchsorted(used, labels)
-    sure = margins(charges, task.lengths, candidate.transitions(task.lengths), places)
+    sure = margins(charges, task.lengths, candidate.transitions(task.lengths), places, order=task.order)
     return -torch.expm1(-sure.clamp(min=0)).float()
 
 
@@ -234,4 +234,6 @@ def _context(
     """
     used = labels.unique()
     bound = int(transition_counts(labels, task.lengths).max())
-    return used[costs_without(charges[:, used].double(), task.lengths, bound, REACH).argmin(1)]
+    return used[
+        costs_without(charges[:, used].double(), task.lengths, bound, REACH, order=task.order).argmin(1)
+    ]

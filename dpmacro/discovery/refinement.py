@@ -57,7 +57,7 @@ def resegmented(candidate: Candidate, task: Task, weight: float = 1.0) -> Int64[
     switches = candidate.switches
     extra = charges_of(switches.scores, switches.pairs, log_odds, task.lengths, weight)
     bound = min(task.max_transitions, candidate.transitions(task.lengths))
-    return segment(costs + extra.staying, task.lengths, bound, extra.changing).labels
+    return segment(costs + extra.staying, task.lengths, bound, extra.changing, task.order).labels
 
 
 def simplified(

@@ -12,31 +12,30 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.boosting.loop import Boosting, Round
-from dpmacro.discovery.alternation import Alternated, alternate, pooled
+from dpmacro.boosting.loop import Round
+from dpmacro.discovery.alternation import Alternated, pooled
 from dpmacro.discovery.candidates import Candidate, Task, distinct, score_candidates
 from dpmacro.discovery.criteria import best_candidate
 from dpmacro.discovery.refinement import recut, simplified
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import (
-    Moments,
     action_events,
+    boosted,
+    boosted_in_turn,
     chained,
-    evidence_of,
     feature_peaks,
     initial_segmentations,
-    linear_alternation,
+    raced,
     random_cuts,
-    vector_starts,
 )
 from dpmacro.features.levels import SortedLevels
 
-__all__ = ["adopt", "boosted", "discover", "raced"]
+__all__ = ["adopt", "discover"]
 
-PEAKS = 2  # candidates a restart that are cut at feature peaks, with two macro-actions; fewer with more
-TABLE = 2**23  # scores that stand in memory together
+PEAKS = 2  # candidates a restart cut at feature peaks, of classes and with two macro-actions; else fewer
+VECTOR_SHRINKAGE = 0.3  # of the alternation, at least
+SIZES = 4  # numbers of macro-actions that are searched for vectors, the whole among them
 
 
 def discover(
@@ -59,8 +58,14 @@ def discover(
     """
     paper = settings.criterion == "loss"
     tasks = [task] if settings.starts == "random" else _smaller(task)
-    search = _search_vectors if task.actions.ndim == 2 and settings.starts != "random" else _alternated
-    parts = [search(data, one, settings, restarts, shrinkage, on_round) for one in tasks]
+    search, shares = _alternated, restarts
+    if task.actions.ndim == 2 and settings.starts != "random":
+        search, shares = _raced, -(-restarts // SIZES)
+    if search is _raced:
+        tasks = _some(tasks)
+    parts = [
+        search(data, one, settings, restarts if one is task else shares, shrinkage, on_round) for one in tasks
+    ]
     alternated = pooled(parts)
     if paper:
         least = alternated.labels[alternated.loss[-1].argmin()]
@@ -101,7 +106,7 @@ def _alternated(
     return boosted(data, task, starts, settings, shrinkage, generator, on_round)
 
 
-def _search_vectors(
+def _raced(
     data: SortedLevels,
     task: Task,
     settings: SearchSettings,
@@ -109,63 +114,13 @@ def _search_vectors(
     shrinkage: float,
     on_round: Callable[[Round], None],
 ) -> Alternated:
-    """The alternation from the starts of vectors that did best in a short one."""
-    survivors = raced(data, task, settings, restarts, shrinkage, on_round)
-    generator = torch.Generator().manual_seed(task.seed)
-    return boosted(data, task, survivors, settings, shrinkage, generator, on_round)
+    """The alternation from the starts of vectors that win a race; `shrinkage` is that of classes.
 
-
-def raced(
-    data: SortedLevels,
-    task: Task,
-    settings: SearchSettings,
-    restarts: int,
-    shrinkage: float,
-    on_round: Callable[[Round], None] = lambda _: None,
-) -> Int64[Tensor, "survivors frames"]:
-    """Where the best of many short alternations ended, distinct ones, least loss first.
-
-    They start where the linear alternation ended with least loss, and from as many starts as they are.
+    Squared errors fall slowly: with the steps of classes the losses that are compared would be those of
+    classifiers that know little yet, and prefer what is explained first.
     """
-    generator = torch.Generator().manual_seed(task.seed)
-    evidence = evidence_of(data.levels, task, generator)
-    moments = Moments(evidence)
-    starts = torch.cat(list(vector_starts(data.levels, evidence, moments, 2 * restarts, generator).values()))
-    linear = linear_alternation(evidence, starts, moments)
-    ended = linear.labels[linear.loss.argsort()]
-    ended = ended[distinct(ended)][: (restarts + 1) // 2]
-    raw = starts[torch.randperm(len(starts), generator=generator)[: restarts // 2]]
-    short = replace(settings, rounds=25, warmup=3, drawn=24)
-    parts = []
-    for group in torch.cat([ended, raw]).split(_at_a_time(task)):
-        generator = torch.Generator().manual_seed(task.seed)
-        parts.append(boosted(data, task, group, short, shrinkage, generator, on_round))
-    found = pooled(parts)
-    ordered = found.labels[found.loss[-1].argsort()]
-    return ordered[distinct(ordered)][: max(restarts // 5, 1)]
-
-
-def _at_a_time(task: Task) -> int:
-    """Starts whose scores stand in memory together."""
-    return max(TABLE // (task.actions.numel() * task.macros), 1)
-
-
-def boosted(
-    data: SortedLevels,
-    task: Task,
-    starts: Int64[Tensor, "restarts frames"],
-    settings: SearchSettings,
-    shrinkage: float,
-    generator: torch.Generator,
-    on_round: Callable[[Round], None] = lambda _: None,
-) -> Alternated:
-    """The alternation from these starts."""
-    learner = StumpLearner(data, drawn=settings.drawn)
-    targets, n_problems = task.loss.targets(task.actions), len(starts) * task.macros
-    boosting = Boosting(learner, targets, n_problems, shrinkage, generator, loss=task.loss)
-    warmup = min(settings.warmup, settings.rounds // 2)
-    given = boosting, task.actions, task.lengths, starts, task.macros, task.max_transitions
-    return alternate(*given, settings.rounds, warmup, "discover", on_round)
+    survivors = raced(data, task, restarts, on_round)
+    return boosted_in_turn(data, task, survivors, settings, max(shrinkage, VECTOR_SHRINKAGE), on_round)
 
 
 def _scored(
@@ -184,14 +139,15 @@ def _scored(
     order = alternated.loss[-1].argsort()
     generator = torch.Generator().manual_seed(task.seed)
     bounds = task.macros, task.max_transitions
-    events = alternated.labels[:0]
+    events, n_peaks = alternated.labels[:0], restarts // 2
     if task.actions.ndim == 1:
         events = action_events(task.actions, task.lengths, restarts // 4, *bounds, generator)
+        n_peaks = PEAKS * restarts
     peaks = [
         feature_peaks(
             data.levels,
             task.lengths,
-            PEAKS * restarts // (smaller.macros - 1),
+            n_peaks // (smaller.macros - 1),
             smaller.macros,
             smaller.max_transitions,
             generator,
@@ -206,7 +162,7 @@ def _scored(
     scored = score_candidates(data, task, labels[distinct(labels)], on_round)
     if settings.switch_weight > 0 and task.n_groups > 1:
         scored = recut(scored, data, task, settings.switch_weight, on_round)
-    return simplified(scored, data, task, on_round)
+    return scored if task.order == "chain" else simplified(scored, data, task, on_round)
 
 
 def _smaller(task: Task) -> list[Task]:
@@ -216,3 +172,9 @@ def _smaller(task: Task) -> list[Task]:
     bound = task.max_transitions
     fewer = [replace(task, macros=n, max_transitions=min(n - 1, bound)) for n in range(2, task.macros)]
     return [*fewer, task]
+
+
+def _some(tasks: list[Task]) -> list[Task]:
+    """So many as `SIZES` of the tasks, evenly spread and up to the last."""
+    places = torch.linspace(0, len(tasks) - 1, min(SIZES, len(tasks))).round().long().tolist()
+    return [tasks[place] for place in places[:-1]] + tasks[-1:]

@@ -29,7 +29,15 @@ from dpmacro.utils.checks import (
     shown,
 )
 
-__all__ = ["Standardiser", "as_actions", "as_device", "as_features", "check_options", "task_of"]
+__all__ = [
+    "Standardiser",
+    "as_actions",
+    "as_device",
+    "as_features",
+    "check_options",
+    "standardised",
+    "task_of",
+]
 
 ROUNDING = 1e-9  # relative; what varies by less does not vary
 MOST_ACTIONS = 2**12  # every frame has a score for each, in every restart
@@ -154,6 +162,16 @@ class Standardiser:
                 f"actions have {vectors.shape[1]} dimensions, those of fit had {len(self.mean)}: give as many"
             )
         return ((vectors.double() - self.mean) / self.deviation).float()
+
+
+def standardised(
+    actions: Num[Tensor, "frames *dims"], by: Standardiser | None
+) -> Num[Tensor, "frames *dims"]:
+    """Vectors as `by` makes them, classes as they are where it is None. ValueError for the other kind."""
+    if (actions.ndim == 2) != (by is not None):
+        kind = "vectors" if actions.ndim == 1 else "classes"
+        raise ValueError(f"actions have shape {list(actions.shape)}, those of fit were {kind}: give the same")
+    return actions if by is None else by.apply(actions)
 
 
 def as_actions(actions: ArrayLike, n_frames: int) -> Num[Tensor, "frames *dims"]:

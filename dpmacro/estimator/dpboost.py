@@ -13,13 +13,12 @@ from inspect import signature
 from typing import Any
 
 import torch
-from jaxtyping import Int64, Num, UInt8
+from jaxtyping import Int64, UInt8
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Round
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt, discover
 from dpmacro.discovery.settings import SearchSettings, paper_switches
@@ -29,6 +28,7 @@ from dpmacro.estimator.arguments import (
     as_device,
     as_features,
     check_options,
+    standardised,
     task_of,
 )
 from dpmacro.estimator.final import finished
@@ -162,7 +162,7 @@ class DPBoost:
         lengths = as_lengths(lengths, values.shape[1], "features")
         quantiser = Quantiser.fit(values)
         data = SortedLevels.build(quantiser.levels(values))
-        result = self.fit_levels(data, self._standardised(actions), lengths, on_round=on_round)
+        result = self.fit_levels(data, standardised(actions, self._standardiser), lengths, on_round=on_round)
         self.result_ = replace(result, quantiser=quantiser)
         self.labels_, self.confidence_ = self.result_.labels, self.result_.confidence
         return self
@@ -184,7 +184,7 @@ class DPBoost:
         On the data of `fit` they are its labels. Arguments and errors as for `fit`.
         """
         levels = self._levels(features)
-        actions = self._standardised(as_actions(actions, levels.shape[1]))
+        actions = standardised(as_actions(actions, levels.shape[1]), self._standardiser)
         return segmented(self._fitted, levels, actions, as_lengths(lengths, levels.shape[1], "features"))
 
     def score(self, features: ArrayLike, actions: ArrayLike, lengths: ArrayLike) -> float:
@@ -193,7 +193,7 @@ class DPBoost:
         Of vectors the share of their variance that is explained.
         """
         levels = self._levels(features)
-        actions = self._standardised(as_actions(actions, levels.shape[1])).cpu()
+        actions = standardised(as_actions(actions, levels.shape[1]), self._standardiser).cpu()
         scores = predicted(self._fitted, levels, as_lengths(lengths, levels.shape[1], "features"))[1]
         return 1 - self._fitted.action_loss.error(scores, actions)
 
@@ -216,7 +216,7 @@ class DPBoost:
             known: labels 0..Q-1 that take the place of the search.
             on_round: called after every boosting round.
         """
-        task = self._task(data, actions, lengths, groups)
+        task = task_of(self.get_params(), data, actions, lengths, groups)
         if task.macros == 1 or task.max_transitions == 0:
             return None
         if known is not None:
@@ -251,7 +251,7 @@ class DPBoost:
             discovery: what `discover_levels` found, where it has run already.
             on_round: called after every boosting round.
         """
-        task = self._task(data, actions, lengths, groups)
+        task = task_of(self.get_params(), data, actions, lengths, groups)
         if discovery is None:
             discovery = self.discover_levels(data, actions, lengths, groups=groups, on_round=on_round)
         fit = FinalFit(
@@ -290,26 +290,8 @@ class DPBoost:
             raise ValueError("this DPBoost has found nothing yet: call fit first")
         return self.result_
 
-    def _standardised(self, actions: Num[Tensor, "frames *dims"]) -> Num[Tensor, "frames *dims"]:
-        """Vectors by the deviations of `fit`; classes as they are. Raises ValueError for the other kind."""
-        if (actions.ndim == 2) != (self._standardiser is not None):
-            kind = "vectors" if actions.ndim == 1 else "classes"
-            raise ValueError(
-                f"actions have shape {list(actions.shape)}, those of fit were {kind}: give the same"
-            )
-        return actions if self._standardiser is None else self._standardiser.apply(actions)
-
     def _levels(self, features: ArrayLike) -> UInt8[Tensor, "columns frames"]:
         """The levels of frames, by the cuts of `fit`."""
         quantiser = self._fitted.quantiser
         assert quantiser is not None, "fit made one"
         return levels_of(quantiser, as_features(features, quantiser.cuts.device))
-
-    def _task(
-        self,
-        data: SortedLevels,
-        actions: ArrayLike,
-        lengths: ArrayLike,
-        groups: Int64[Tensor, " trajectories"] | None,
-    ) -> Task:
-        return task_of(self.get_params(), data, actions, lengths, groups)

@@ -59,6 +59,7 @@ def finished(
         settled.switches,
         settled.terms,
         settled.max_transitions,
+        task.order,
         settled.unsettled,
         None,
         discovery,

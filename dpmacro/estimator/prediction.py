@@ -66,7 +66,7 @@ def segmented(
             _chunks(levels), result.switches.classifier, result.terms, actions, lengths
         )
         costs, changing = costs + extra.staying, extra.changing
-    return segment(costs, lengths, result.max_transitions, changing).labels.cpu()
+    return segment(costs, lengths, result.max_transitions, changing, result.order).labels.cpu()
 
 
 def _chunks(levels: UInt8[Tensor, "columns frames"]) -> list[Frames]:

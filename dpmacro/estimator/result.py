@@ -28,6 +28,7 @@ class DPBoostResult:
         switches: between the macro-actions.
         terms: how the switch functions joined the final segmentation; None where they did not.
         max_transitions: S of the final segmentation.
+        order: of macro-actions in it, "free" or "chain".
         unsettled: frames whose label is not the one that the switch functions were fitted to; 0 where the
             final fit settled.
         quantiser: from raw feature columns to levels; None where levels were given.
@@ -43,6 +44,7 @@ class DPBoostResult:
     switches: SwitchFunctions
     terms: SwitchTerms | None
     max_transitions: int
+    order: str
     unsettled: int
     quantiser: Quantiser | None
     discovery: Discovery | None

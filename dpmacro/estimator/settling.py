@@ -158,13 +158,13 @@ def _classifiers(
     targets = task.loss.targets(task.actions)
     boosting = Boosting(fit.learner, targets, task.macros, fit.shrinkage, generator, loss=task.loss)
     given = boosting, task.actions, task.lengths, labels[None], task.macros, task.max_transitions
-    ended = alternate(*given, rounds, int(fit.held * rounds), "fit", on_round, costs)
+    ended = alternate(*given, rounds, int(fit.held * rounds), "fit", on_round, costs, task.order)
     classifiers = boosting.strong()
     own = action_costs(_chunks(fit.learner, len(labels)), classifiers, task.actions, task.loss)
     changing = None
     if costs is not None:
         own, changing = own + costs.staying.to(own.device), costs.changing.to(own.device)
-    found = segment(own, task.lengths, task.max_transitions, changing).labels.cpu()
+    found = segment(own, task.lengths, task.max_transitions, changing, task.order).labels.cpu()
     return found, ended.loss[:, 0], classifiers
 
 

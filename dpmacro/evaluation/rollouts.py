@@ -18,7 +18,7 @@ import numpy as np
 
 from dpmacro.evaluation.loops import VisitedStates
 from dpmacro.utils.processes import spread, stopped
-from dpmacro.worlds import diagnosis_of
+from dpmacro.worlds import diagnosis_of, expert_of
 from dpmacro.worlds.base import NO_MACRO, Episode, Moment, Planner
 
 __all__ = ["PlannerSource", "iter_episodes", "one_thread", "replay", "run_episodes"]
@@ -45,12 +45,13 @@ class PlannerSource:
         if (self.kind == "policy") != (self.path is not None):
             raise ValueError(f"a policy needs a path and a teacher has none, got {self.kind} and {self.path}")
 
-    def planner(self) -> Planner:
-        """A new planner. Raises ValueError where the policy cannot be read."""
-        if self.path is None:
-            from dpmacro.worlds.two_flags.teacher import Teacher
+    def planner(self, world: str) -> Planner:
+        """A new planner for the world of this id.
 
-            return Teacher()
+        Raises ValueError where the policy cannot be read, or the world has no teacher.
+        """
+        if self.path is None:
+            return expert_of(world)
         from dpmacro.policy.policy import MacroPolicy
 
         return MacroPolicy.load(self.path).planner(self.recovery)
@@ -103,8 +104,8 @@ class _Stage:
 
     def __init__(self, source: PlannerSource, world: Mapping[str, Any], render_mode: str | None = None):
         options = dict(world)
-        self.planner = source.planner()
         world_id = options.pop("id")
+        self.planner = source.planner(world_id)
         self.env = gym.make(world_id, render_mode=render_mode, **options)
         self.diagnosis = diagnosis_of(world_id)
 

@@ -8,11 +8,12 @@ where they learn from mirror images: the levels once more, and those of the mirr
 
 from dataclasses import dataclass
 
-__all__ = ["DRAWN", "GIB", "LEAST_COLUMNS", "LIBRARIES", "SAMPLED", "VALUES", "Demand", "Plan"]
+__all__ = ["DRAWN", "GATHERED", "GIB", "LEAST_COLUMNS", "LIBRARIES", "SAMPLED", "VALUES", "Demand", "Plan"]
 
 GIB = 2**30  # bytes
 LIBRARIES = 0.65 * GIB  # what a process holds before it has seen a frame
 VALUES = 2**26  # feature values that are computed and quantised at a time
+GATHERED = 2**29  # bytes of observations that are copied at a time to compute values
 SAMPLED = 20_000  # frames that choose the cuts, evenly spaced, where there are more
 SORTED = 4  # bytes of a frame's place in a column's order
 DRAWN = SORTED + 1  # bytes of a frame in a column that is sorted when it is drawn, from a copy of its levels
@@ -25,20 +26,32 @@ class Demand:
 
     Attributes:
         n_frames: number of frames in all demonstrations.
-        image_bytes: bytes of one frame's image.
+        frame_bytes: bytes of one frame of everything seen.
         n_columns: number of feature columns.
         table_bytes: bytes that scores, losses and weights of one frame take while classifiers are boosted.
         copies: mirror images of every frame whose columns switch functions learn from, too; 0 or 1.
         switch_bytes: bytes of one frame while switch functions are boosted, after the classifiers: scores,
             losses, weights, sorted columns and mirror images.
+        always: number of columns that are never left out, those without pixels.
+        inputs: number of keys that are seen.
     """
 
     n_frames: int
-    image_bytes: int
+    frame_bytes: int
     n_columns: int
     table_bytes: int
     copies: int = 0
     switch_bytes: int = 0
+    always: int = 0
+    inputs: int = 1
+
+    @property
+    def remedies(self) -> str:
+        """What else makes it less, as the end of a sentence."""
+        found = ["leave out some --dataset.inputs"] if self.inputs > 1 else []
+        if self.always < self.n_columns:
+            found.append("shrink images by --dataset.image_size")
+        return ", ".join([*found, "or take fewer --dataset.episodes"])
 
 
 @dataclass(frozen=True)
@@ -61,12 +74,13 @@ class Plan:
     def fitting(cls, demand: Demand, limit: float) -> "Plan":
         """The richest plan within `limit` GiB: first all columns sorted, then all columns, then most of them.
 
-        Raises ValueError with the least limit where there is no room for `LEAST_COLUMNS` columns.
+        At least `LEAST_COLUMNS` are kept, and all that are never left out. Raises ValueError with the least
+        limit, and what else would do, where there is no room for these.
         """
         n_frames, n_columns = demand.n_frames, demand.n_columns
-        fixed = LIBRARIES + n_frames * demand.image_bytes
-        sampled = 2 * min(n_frames, SAMPLED) * demand.image_bytes
-        quantising = sampled + 4 * min(VALUES, n_columns * n_frames)
+        fixed = LIBRARIES + n_frames * demand.frame_bytes
+        gathered = min(2 * min(n_frames, SAMPLED) * demand.frame_bytes, GATHERED)
+        quantising = gathered + 4 * min(VALUES, n_columns * n_frames)
         boosting = n_frames * demand.table_bytes
         switching = n_frames * demand.switch_bytes
         copied = 1 + demand.copies if demand.copies else 0  # the frames' own levels are copied, too
@@ -80,17 +94,18 @@ class Plan:
         if (whole := most(n_columns, 0)) <= limit:
             return cls(n_columns, n_columns, 0, whole)
         least = min(LEAST_COLUMNS, n_columns)
-        if most(least, least) > limit:
+        fewest = max(least, demand.always)
+        if most(fewest, least) > limit:
             raise ValueError(
-                f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(least, least):.2f} GiB at "
-                "least: give that, shrink images by --dataset.image_size, or take fewer --dataset.episodes"
+                f"memory_limit is {limit:g} GiB: {n_frames} frames need {most(fewest, least):.2f} GiB at "
+                f"least: give that, {demand.remedies}"
             )
         room = limit * GIB - fixed
         kept = (
             int((room - max(quantising, boosting + DRAWN * least * n_frames)) / n_frames),
             int((room - switching) / ((1 + copied) * n_frames)),
         )
-        columns = min(max(min(kept), least), n_columns)
+        columns = min(max(min(kept), fewest), n_columns)
         drawn = int((room - boosting - columns * n_frames) / (DRAWN * n_frames))
         drawn = min(max(drawn, least), columns)
         return cls(columns, n_columns, drawn, most(columns, drawn))

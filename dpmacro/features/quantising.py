@@ -22,36 +22,44 @@ class Quantiser:
     cuts: Num[Tensor, "columns 255"]  # ascending
 
     @classmethod
-    def fit(cls, values: Num[Tensor, "columns frames"]) -> "Quantiser":
+    def fit(cls, values: Num[Tensor, "columns frames"], dtype: torch.dtype | None = None) -> "Quantiser":
         """Cuts from training values: half at even ranks, half at even distances between the extremes.
+
+        They are of the values' type, or of `dtype`, which must hold the values exactly.
 
         Ranks spend levels where the values are; distances keep rare, extreme ones apart (a distant flag
         fills few frames).
+
+        Raises ValueError where a value is not finite.
         """
         n_frames, half = values.shape[1], LEVELS // 2
+        dtype = dtype or values.dtype
         steps = torch.arange(1, half + 1, device=values.device)
         cuts = []
         for chunk in values.split(CHUNK_COLUMNS):
-            ordered = _sorted(chunk)
+            ordered = _sorted(chunk.to(dtype))
             low, high = ordered[:, :1].double(), ordered[:, -1:].double()
+            if not torch.isfinite(high - low).all():
+                raise ValueError("a feature column has values that are not finite: leave it out")
             even = low + (high - low) * steps / half
-            even = even if values.is_floating_point() else even.ceil()
+            even = even if dtype.is_floating_point else even.ceil()
             cuts.append(
-                torch.cat([ordered[:, steps[:-1] * n_frames // half], even.to(values.dtype)], 1)
-                .sort(1)
-                .values
+                torch.cat([ordered[:, steps[:-1] * n_frames // half], even.to(dtype)], 1).sort(1).values
             )
         return cls(torch.cat(cuts))
 
     def levels(self, values: Num[Tensor, "columns frames"]) -> UInt8[Tensor, "columns frames"]:
-        """The level 0..255 of every value."""
+        """The level 0..255 of every value; values may be of a type that the cuts' type holds exactly."""
+        assert self.cuts.is_floating_point() or not values.is_floating_point(), "cuts would be too coarse"
         if values.shape[1] == 1:  # one operation for the frame that an environment waits for
-            return torch.searchsorted(self.cuts, values, right=True, out_int32=True).to(torch.uint8)
+            return torch.searchsorted(self.cuts, values.to(self.cuts.dtype), right=True, out_int32=True).to(
+                torch.uint8
+            )
         result = torch.empty(values.shape, dtype=torch.uint8, device=values.device)
         columns = max(1, CHUNK_SEARCHES // max(1, values.shape[1]))
         for start in range(0, len(values), columns):
             chunk = slice(start, start + columns)
-            result[chunk] = _count_not_above(self.cuts[chunk], values[chunk])
+            result[chunk] = _count_not_above(self.cuts[chunk], values[chunk].to(self.cuts.dtype))
         return result
 
     def select(self, columns: Int64[Tensor, " selected"]) -> "Quantiser":

@@ -15,9 +15,10 @@ from matplotlib.patches import Patch
 
 from dpmacro.utils.files import replacing
 
-# Okabe and Ito's colours, distinct under the common kinds of colour blindness; truth stands in greys,
-# neighbours far apart.
-PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000", "#F0E442")
+# Okabe and Ito's colours, distinct under the common kinds of colour blindness, then four that are darker or
+# paler than those near them; truth stands in greys, neighbours far apart.
+OKABE_ITO = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000", "#F0E442")
+PALETTE = (*OKABE_ITO, "#6A3D9A", "#8C510A", "#B5E2A8", "#7F1734")
 GREYS = ("#D3D8DC", "#6B757E", "#A3ACB4", "#3D454C", "#BBC2C8", "#545D65", "#8A939B", "#20262B")
 ACTIONS = ("#E8E4DA", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#E69F00")
 INK = "#222222"
@@ -25,12 +26,22 @@ FAINT = "#DDDDDD"
 WIDTH = 12.0
 DPI = 120
 NAMED = 24  # colours that a legend names at most
+LEGEND = 0.22  # inches, of a legend's line
+SURE = "pale: unsure"
 HANDLE, LETTER = 0.75, 0.085  # inches, of a legend's patch with its space, and of a letter
 
 
 def macro_colour(macro: int) -> str:
     """Colour of a macro-action as "#rrggbb", the same in every picture and video."""
     return PALETTE[macro % len(PALETTE)]
+
+
+def shortened(text: str, letters: int) -> str:
+    """Text of at most so many letters: of a longer one the two ends."""
+    if len(text) <= letters:
+        return text
+    end = (letters - 1) // 2
+    return f"{text[: letters - 1 - end]}…{text[-end:]}"
 
 
 def ink_on(shade: Sequence[float] | np.ndarray) -> str:
@@ -83,6 +94,12 @@ def set_title(figure: Figure, title: str) -> None:
     figure.suptitle(title, x=0.01, ha="left", fontsize=13, weight="bold", color=INK)
 
 
+def legend_height(names: Sequence[str], confidence: bool = False) -> float:
+    """Inches that `legend` takes below a figure of the usual width."""
+    texts = [*names[: NAMED + 1], *[SURE] * confidence]
+    return LEGEND * -(-len(texts) // _columns(texts, WIDTH)) if texts else 0.0
+
+
 def legend(figure: Figure, colours: Sequence[str], names: Sequence[str], confidence: bool = False) -> None:
     """What the colours mean, below all; where `confidence` shades them, what that means, too."""
     more = len(names) - NAMED
@@ -95,13 +112,20 @@ def legend(figure: Figure, colours: Sequence[str], names: Sequence[str], confide
         grey = np.array(to_rgb(GREYS[5]))
         steps = (faded(grey, np.array(step)) for step in (1.0, 0.75, 0.5, 0.25, 0.0))
         handles.append(tuple(Patch(facecolor=step, edgecolor=FAINT, linewidth=0.5) for step in steps))
-        texts.append("pale: unsure")
-    longest = max(map(len, texts), default=0)
+        texts.append(SURE)
+    if not texts:
+        return
     figure.legend(
         handles=handles,
         labels=texts,
         loc="outside lower center",
-        ncols=max(1, min(len(texts), 6, int(figure.get_figwidth() / (HANDLE + LETTER * longest)))),
+        ncols=_columns(texts, figure.get_figwidth()),
         frameon=False,
         handler_map={tuple: HandlerTuple(ndivide=None, pad=0)},
     )
+
+
+def _columns(texts: Sequence[str], width: float) -> int:
+    """Of a legend in a figure of this width, in inches."""
+    longest = max(map(len, texts))
+    return max(1, min(len(texts), 6, int(width / (HANDLE + LETTER * longest))))

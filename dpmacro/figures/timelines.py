@@ -1,16 +1,27 @@
 """Demonstrations along time: what was seen, true classes, macro-actions and how sure they are, actions."""
 
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from dpmacro.figures.strips import (
+    STRIP,
+    THUMBNAILS,
+    Line,
+    changes,
+    class_names,
+    draw_line,
+    draw_strip,
+    draw_thumbnails,
+    true_name,
+    write_names,
+)
 from dpmacro.figures.style import (
     ACTIONS,
     GREYS,
@@ -18,22 +29,31 @@ from dpmacro.figures.style import (
     PALETTE,
     WIDTH,
     bare,
-    faded,
-    ink_on,
     legend,
+    legend_height,
     macro_colour,
     set_title,
+    shortened,
 )
 
-THUMBNAILS = 12
-LETTER = 0.1  # inches, of a bold one
-STRIP = 0.82 * WIDTH  # inches, of the longest demonstration
+ROW, TALL = 0.36, 0.72  # inches, of rows of strips and lines
+GAP = 0.06  # inches, between two rows
+FRAME = 1.15  # inches, for the title and the frames' numbers
+DEMONSTRATION, LEAST, MOST = 0.28, 1.1, 38.0  # inches, of one among all, and of all
+LETTERS = 22  # of a row's name
+
+
+@dataclass(frozen=True)
+class _Row:
+    name: str
+    height: float  # inches
+    draw: Callable[[Axes], None]  # within 0..1
 
 
 def timeline(
-    images: UInt8[np.ndarray, "frames height width 3"],
+    images: UInt8[np.ndarray, "frames height width 3"] | Mapping[str, UInt8[np.ndarray, "frames _ _ 3"]],
     labels: Int[np.ndarray, " frames"],
-    actions: Int[np.ndarray, " frames"],
+    actions: Int[np.ndarray, " frames"] | Sequence[Line],
     truth: Int[np.ndarray, " frames"] | None = None,
     title: str = "",
     action_names: Sequence[str] = (),
@@ -44,41 +64,51 @@ def timeline(
     """One demonstration along time: what was seen, true classes, macro-actions found, actions taken.
 
     Found change points are drawn through every row, true ones dashed through the two that show them. Where
-    `confidence`, 0..1, is low the macro-action's colour is pale. `truth_name` is the column of the truth and
-    `truth_classes` names its classes 0..K-1.
+    `confidence`, 0..1, is low the macro-action's colour is pale.
+
+    Args:
+        images: of the only camera, or of each by its name; {} where there is none.
+        labels: macro-action of every frame.
+        actions: classes, or the numbers of vectors that are worth a row.
+        truth: true class of every frame.
+        title: above all.
+        action_names: of classes.
+        truth_name: the column of the truth.
+        truth_classes: names of its classes 0..K-1.
+        confidence: in every frame's label.
     """
-    classes = {} if truth is None else _class_names(truth, truth_classes)
-    rows = ["macro-action", "action"] if truth is None else [_true(truth_name), "macro-action", "action"]
-    thumbnail = STRIP / THUMBNAILS * images.shape[1] / images.shape[2]
-    figure = Figure(figsize=(WIDTH, thumbnail + 0.42 * len(rows) + 1.35), layout="constrained")
-    heights = [thumbnail, *[0.36] * len(rows)]
-    axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    _thumbnails(axes[0], images)
-    for axis, name in zip(axes, ["seen", *rows], strict=True):
+    seen = images if isinstance(images, Mapping) else {"seen": images}
+    classes = {} if truth is None else class_names(truth, truth_classes)
+    rows = [
+        _Row(
+            name, STRIP / THUMBNAILS * shown.shape[1] / shown.shape[2], partial(draw_thumbnails, images=shown)
+        )
+        for name, shown in seen.items()
+    ]
+    if truth is not None:
+        rows.append(_Row(true_name(truth_name), ROW, partial(_true_strip, truth=truth, classes=classes)))
+    rows.append(_Row("macro-action", ROW, partial(_found_strip, labels, confidence, truth)))
+    if isinstance(actions, np.ndarray):
+        rows.append(_Row("action", ROW, lambda axis: draw_strip(axis, actions, ACTIONS, 0.0, 1.0)))
+    else:
+        rows += [
+            _Row(line.name, TALL if line.tall else ROW, partial(draw_line, line=line, labels=labels))
+            for line in actions
+        ]
+    colours, names = _meaning(actions, action_names, classes)
+    heights = [row.height for row in rows]
+    below = FRAME + legend_height(names, confidence is not None)
+    size = WIDTH, sum(heights) + GAP * (len(rows) - len(seen)) + below
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(len(rows), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
+    for axis, row in zip(axes, rows, strict=True):
         bare(axis)
-        axis.set_ylabel(name, rotation=0, ha="right", va="center", color=INK, labelpad=8)
-    if truth is not None:
-        _strip(axes[1], truth, GREYS, 0.0, 1.0)
-        _write(axes[1], truth, GREYS, classes)
-    _strip(axes[-2], labels, PALETTE, 0.0, 1.0, confidence)
-    _write(axes[-2], labels, PALETTE, {}, confidence)
-    _strip(axes[-1], actions, ACTIONS, 0.0, 1.0)
-    for axis in axes:
-        axis.vlines(_changes(labels), 0, 1, color="black", linewidth=1.6)
+        text = shortened(row.name, LETTERS)
+        axis.set_ylabel(text, rotation=0, ha="right", va="center", color=INK, labelpad=8)
+        row.draw(axis)
+        axis.vlines(changes(labels), 0, 1, color="black", linewidth=1.6)
         axis.set_ylim(0, 1)
-    if truth is not None:
-        for axis in axes[1:3]:
-            axis.vlines(_changes(truth), 0, 1, color="black", linewidth=1.6, linestyle=(0, (2, 1.2)))
-    axes[-1].set_xlim(0, len(images))
-    axes[-1].tick_params(axis="x", bottom=True, labelbottom=True)
-    axes[-1].xaxis.set_major_locator(MaxNLocator(8, integer=True))
-    axes[-1].set_xlabel("frame")
-    used = np.unique(actions).tolist()
-    colours = [ACTIONS[action % len(ACTIONS)] for action in used]
-    names = [action_names[action] if action < len(action_names) else f"action {action}" for action in used]
-    if any(name != str(number) for number, name in classes.items()):
-        colours += [GREYS[number % len(GREYS)] for number in classes]
-        names += [f"{number}: {name}" for number, name in classes.items()]
+    _count_frames(axes[-1], len(labels))
     legend(figure, colours, names, confidence is not None)
     set_title(figure, title)
     return figure
@@ -99,120 +129,77 @@ def timelines(
     Where `confidence`, 0..1, is low the macro-action's colour is pale. `numbers` are those of the
     demonstrations, by default 0, 1, ...
     """
-    figure = Figure(figsize=(WIDTH, min(1.5 + 0.28 * len(lengths), 40.0)), layout="constrained")
+    macros = np.unique(labels).tolist()
+    colours, names = [macro_colour(macro) for macro in macros], [f"macro-action {macro}" for macro in macros]
+    for number, name in {} if truth is None else class_names(truth, truth_classes).items():
+        colours.append(GREYS[number % len(GREYS)])
+        names.append(f"{true_name(truth_name)} {number}" if name == str(number) else f"true: {name}")
+    tall = min(max(DEMONSTRATION * len(lengths), LEAST), MOST)
+    below = legend_height(names, confidence is not None)
+    figure = Figure(figsize=(WIDTH, tall + FRAME + below), layout="constrained")
     axis = figure.subplots()
     ends = np.cumsum(lengths)
     for row, (start, end) in enumerate(zip(ends - lengths, ends, strict=True)):
         part = slice(start, end)
         sure = None if confidence is None else confidence[part]
-        _strip(axis, labels[part], PALETTE, row - 0.4, 0.5 if truth is not None else 0.8, sure)
+        draw_strip(axis, labels[part], PALETTE, row - 0.4, 0.5 if truth is not None else 0.8, sure)
         if truth is not None:
-            _strip(axis, truth[part], GREYS, row + 0.13, 0.27)
+            draw_strip(axis, truth[part], GREYS, row + 0.13, 0.27)
     bare(axis)
     axis.set_ylim(len(lengths) - 0.4, -0.6)
-    axis.set_xlim(0, int(lengths.max()))
-    axis.tick_params(axis="both", left=False, labelleft=True, bottom=True, labelbottom=True)
+    axis.tick_params(axis="y", labelleft=True)
     axis.yaxis.set_major_locator(MaxNLocator(25, integer=True))
     if numbers is not None:
         axis.yaxis.set_major_formatter(
             FuncFormatter(lambda row, _: str(numbers[round(row)]) if 0 <= row < len(numbers) else "")
         )
-    axis.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     axis.set_ylabel("demonstration")
-    axis.set_xlabel("frame")
-    macros = np.unique(labels).tolist()
-    colours, names = [macro_colour(macro) for macro in macros], [f"macro-action {macro}" for macro in macros]
-    for number, name in {} if truth is None else _class_names(truth, truth_classes).items():
-        colours.append(GREYS[number % len(GREYS)])
-        names.append(f"{_true(truth_name)} {number}" if name == str(number) else f"true: {name}")
+    _count_frames(axis, int(lengths.max()))
     legend(figure, colours, names, confidence is not None)
     set_title(figure, title)
     return figure
 
 
-def _true(truth_name: str | None) -> str:
-    return f"true {truth_name or 'class'}"
+def _count_frames(axis: Axes, count: int) -> None:
+    axis.set_xlim(0, count)
+    axis.tick_params(axis="x", bottom=True, labelbottom=True)
+    axis.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+    axis.set_xlabel("frame")
 
 
-def _class_names(truth: Int[np.ndarray, " frames"], names: Sequence[str]) -> dict[int, str]:
-    """The name of every class that occurs, its number where it has none."""
-    return {
-        number: names[number] if 0 <= number < len(names) else str(number)
-        for number in np.unique(truth).tolist()
-    }
+def _true_strip(axis: Axes, truth: Int[np.ndarray, " frames"], classes: Mapping[int, str]) -> None:
+    draw_strip(axis, truth, GREYS, 0.0, 1.0)
+    write_names(axis, truth, GREYS, classes)
+    _dashed(axis, truth)
 
 
-def _thumbnails(axis: Axes, images: UInt8[np.ndarray, "frames height width 3"]) -> None:
-    """Pictures side by side, each over the frames it stands for and taken from their middle."""
-    edges = np.linspace(0, len(images), min(THUMBNAILS, len(images)) + 1)
-    for start, end in itertools.pairwise(edges):
-        gap = 0.02 * (end - start)
-        extent = (start + gap, end - gap, 0.0, 1.0)
-        axis.imshow(images[int((start + end) / 2)], extent=extent, aspect="auto", interpolation="nearest")
-
-
-def _strip(
+def _found_strip(
+    labels: Int[np.ndarray, " frames"],
+    confidence: Float[np.ndarray, " frames"] | None,
+    truth: Int[np.ndarray, " frames"] | None,
     axis: Axes,
-    values: Int[np.ndarray, " frames"],
-    colours: Sequence[str],
-    bottom: float,
-    height: float,
-    confidence: Float[np.ndarray, " frames"] | None = None,
 ) -> None:
-    """A bar in the values' colours; one that confidence shades has an outline, as it may be white."""
-    if confidence is None:
-        starts, ends = _stretches(values)
-        shades = _rgb(values[starts], colours)
-        widths = ends - starts
-        axis.bar(starts, height, widths, bottom, align="edge", color=shades, linewidth=0, antialiased=False)
-        return
-    extent = (0, len(values), bottom, bottom + height)
-    shades = faded(_rgb(values, colours), confidence)
-    axis.imshow(shades[None], extent=extent, aspect="auto", interpolation="nearest")
-    outline = Rectangle((0, bottom), len(values), height, fill=False, edgecolor="#999999", linewidth=0.6)
-    axis.add_patch(outline)
+    draw_strip(axis, labels, PALETTE, 0.0, 1.0, confidence)
+    write_names(axis, labels, PALETTE, {}, confidence)
+    if truth is not None:
+        _dashed(axis, truth)
 
 
-def _write(
-    axis: Axes,
-    values: Int[np.ndarray, " frames"],
-    colours: Sequence[str],
-    names: Mapping[int, str],
-    confidence: Float[np.ndarray, " frames"] | None = None,
-) -> None:
-    """The value's name, or else its number, in every stretch of a strip of height 1 that has room for it."""
-    shades = _rgb(values, colours)
-    if confidence is not None:
-        shades = faded(shades, confidence)
-    for start, end in zip(*_stretches(values), strict=True):
-        number = int(values[start])
-        room = (end - start) / len(values) * STRIP / LETTER - 2
-        text = next((text for text in (names.get(number, ""), str(number)) if 0 < len(text) <= room), "")
-        middle = (start + end) / 2
-        shade = shades[int(middle)]
-        behind = {"facecolor": shade, "edgecolor": "none", "pad": 1.0}  # over the lines of change points
-        axis.text(
-            middle,
-            0.5,
-            text,
-            color=ink_on(shade),
-            ha="center",
-            va="center",
-            weight="bold",
-            bbox=behind if confidence is None else None,
-            zorder=5,
-        )
+def _meaning(
+    actions: Int[np.ndarray, " frames"] | Sequence[Line],
+    action_names: Sequence[str],
+    classes: Mapping[int, str],
+) -> tuple[list[str], list[str]]:
+    """The colours of a timeline's legend and what they mean: actions, and true classes that have names."""
+    used = np.unique(actions).tolist() if isinstance(actions, np.ndarray) else []
+    colours = [ACTIONS[action % len(ACTIONS)] for action in used]
+    names = [action_names[action] if action < len(action_names) else f"action {action}" for action in used]
+    if any(name != str(number) for number, name in classes.items()):
+        colours += [GREYS[number % len(GREYS)] for number in classes]
+        names += [f"{number}: {name}" for number, name in classes.items()]
+    return colours, names
 
 
-def _stretches(values: Int[np.ndarray, " frames"]) -> tuple[np.ndarray, np.ndarray]:
-    """First frames of the stretches of equal values, and the ones after their last."""
-    edges = np.concatenate([[0], _changes(values), [len(values)]])
-    return edges[:-1], edges[1:]
-
-
-def _rgb(values: Int[np.ndarray, " frames"], colours: Sequence[str]) -> Float[np.ndarray, "frames 3"]:
-    return np.array([to_rgb(colour) for colour in colours])[values % len(colours)]
-
-
-def _changes(values: Int[np.ndarray, " frames"]) -> Int[np.ndarray, " changes"]:
-    return np.flatnonzero(np.diff(values)) + 1
+def _dashed(axis: Axes, truth: Int[np.ndarray, " frames"]) -> None:
+    """True change points."""
+    axis.vlines(changes(truth), 0, 1, color="black", linewidth=1.6, linestyle=(0, (2, 1.2)))

@@ -1,28 +1,31 @@
 """MacroPlanner: a policy that runs in one environment, and the state that a policy keeps between frames."""
 
-from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64, UInt8
+from jaxtyping import Float, Int64
 from torch import Tensor
 
+from dpmacro.features.base import Observation, Seen
+from dpmacro.features.history import History
 from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.observation import observed
 
 __all__ = ["Decides", "MacroPlanner", "PolicyState"]
 
 
-@dataclass
+@dataclass(frozen=True)
 class PolicyState:
     """What a policy keeps of every environment of a batch between two frames."""
 
     macro: Int64[Tensor, " batch"]  # the current macro-action, 0..Q-1; -1 where the first frame is to tell
-    action: Int64[Tensor, " batch"]  # the last action, -1 before the first
-    previous: UInt8[Tensor, "batch height width 3"] | None = None  # None before the first frame
-    restarted: Bool[Tensor, " batch"] | None = None  # environments whose next frame is their first
+    action: Int64[Tensor, " batch"]  # the last action, -1 before the first and where actions are vectors
+    history: History  # what was seen
+    seen: Seen = field(default_factory=dict)  # what the last scores were computed from
 
 
 @runtime_checkable
@@ -38,14 +41,16 @@ class Decides(Protocol):
     def initial_state(self, batch: int) -> PolicyState: ...
 
     def decide(
-        self, images: UInt8[Tensor, "batch height width 3"], state: PolicyState
-    ) -> tuple[Float[Tensor, "batch actions"], PolicyState]: ...
+        self, observation: Observation, state: PolicyState
+    ) -> tuple[Float[Tensor, "batch outputs"], PolicyState]: ...
+
+    def restored(self, scores: Float[Tensor, "batch outputs"], observation: Observation) -> Tensor: ...
 
 
 class MacroPlanner:
     """A policy in one running environment, as `dpmacro.worlds.base.Planner`.
 
-    It uses the observation's `pixels` and nothing else. They must have the size that the demonstrations were
+    It uses the policy's inputs and nothing else. Images must have the size that the demonstrations were
     stored with, and are shrunk as the demonstrations were.
     """
 
@@ -61,37 +66,61 @@ class MacroPlanner:
 
     @property
     def memory(self) -> Hashable:
-        """Macro-action and last action: all of its state but the previous frame."""
-        return self.macro, int(self._state.action[0])
+        """Macro-action and last action: all of its state but what was seen before.
+
+        None for a policy that looks further back than one frame, or whose actions are vectors.
+        """
+        further = any(lags[-1] > 1 for lags in self._state.history.needs.values())
+        return None if further or self.policy.config.vector else (self.macro, int(self._state.action[0]))
 
     @property
     def seen(self) -> bytes:
-        """The frames that the last scores were computed from; equal bytes are equal frames."""
+        """What the last scores were computed from; equal bytes are equal frames."""
         return self._seen
 
     def reset(self, env: gym.Env | None = None) -> None:
         """Begin an episode, in any environment."""
         self._state = self.policy.initial_state(1)
 
-    def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
-        """Return the action for the present frame. Raises ValueError for a frame of another size."""
-        action = int(self.scores(observation).argmax())
+    def act(
+        self, observation: Mapping[str, Any], info: Mapping[str, Any]
+    ) -> int | Float[np.ndarray, " dims"]:
+        """Return the action for the present frame, a class or a vector.
+
+        Raises ValueError for what is missing or has another size.
+        """
+        shown = self._shown(observation)
+        scores = self._decided(shown)
+        if self.policy.config.vector:
+            return self.policy.restored(scores, shown)[0].cpu().numpy()
+        action = int(scores[0].argmax())
         self.took(action)
         return action
 
-    def scores(self, observation: dict[str, np.ndarray]) -> Float[np.ndarray, " actions"]:
-        """Return the score of every action at the present frame, once per frame; then call `took`.
+    def scores(self, observation: Mapping[str, Any]) -> Float[np.ndarray, " outputs"]:
+        """Return the scores at the present frame, once per frame; then call `took`.
 
-        The macro-action changes here where a switch function fires. Raises ValueError for a frame of another
-        size.
+        The macro-action changes here where a switch function fires. Raises ValueError for what is missing or
+        has another size.
         """
-        pixels = self.policy.config.image_transform.apply(observation["pixels"], "the observation")
-        images, previous = torch.from_numpy(pixels)[None], self._state.previous
-        scores, self._state = self.policy.decide(images.to(self.policy.device), self._state)
-        seen = images if previous is None else torch.cat([images, previous.cpu()])
-        self._seen = seen.numpy().tobytes()
-        return scores[0].cpu().numpy()
+        return self._decided(self._shown(observation))[0].cpu().numpy()
 
     def took(self, action: int) -> None:
-        """Note the action that was taken at the present frame; switch functions depend on it."""
+        """Note the class that was taken at the present frame; switch functions depend on it."""
         self._state = replace(self._state, action=torch.tensor([action], device=self.policy.device))
+
+    def _shown(self, observation: Mapping[str, Any]) -> dict[str, Tensor]:
+        """The policy's inputs, a batch of one."""
+        found = observed(observation, self.policy.config)
+        return {
+            key: torch.from_numpy(np.array(value))[None].to(self.policy.device)
+            for key, value in found.items()
+        }
+
+    def _decided(self, shown: Observation) -> Float[Tensor, "1 outputs"]:
+        first = not self._state.history.past
+        scores, self._state = self.policy.decide(shown, self._state)
+        lags = sorted(self._state.seen)[: 1 if first else None]
+        parts = [self._state.seen[lag][key] for lag in lags for key in sorted(self._state.seen[lag])]
+        self._seen = b"".join(part.cpu().numpy().tobytes() for part in parts)
+        return scores

@@ -6,15 +6,20 @@ from functools import cached_property
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float, Int64, UInt8
+from jaxtyping import Bool, Float, Int64, Num
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import Frames, StrongClassifier
+from dpmacro.boosting.learners.convnet import ConvNetClassifier
 from dpmacro.boosting.learners.kinds import classifier_from, classifier_tensors
-from dpmacro.features.base import Encoder
-from dpmacro.features.kinds import features_from
+from dpmacro.boosting.losses.base import Loss
+from dpmacro.boosting.losses.classes import ExponentialLoss
+from dpmacro.boosting.losses.vectors import LOSSES, HuberLoss
+from dpmacro.features.base import Encoder, Observation, Seen
+from dpmacro.features.history import History
+from dpmacro.features.kinds import encoder_from
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig, read_config
 from dpmacro.policy.planner import MacroPlanner, PolicyState
@@ -31,14 +36,14 @@ WEIGHTS_NAME = "model.safetensors"
 class MacroPolicy:
     """At every frame the switch functions of the current macro-action, then its strong classifier, decide.
 
-    The highest switch function above its threshold changes the macro-action; the action with the highest
-    f_q^m(x) is taken (Section IV of the paper).
+    The highest switch function above its threshold changes the macro-action; the class with the highest
+    f_q^m(x) is taken (Section IV of the paper), or the vector that f_q(x) stands for.
     """
 
     config: PolicyConfig
     features: Encoder  # just the columns that some stump looks at
     quantiser: Quantiser
-    actor: StrongClassifier  # problems are macro-actions, classes are actions
+    actor: StrongClassifier  # problems are macro-actions
     switcher: StrongClassifier | None  # problems are config.switches, then several starts; one class
     stretches: Stretches | None = None  # what demonstrators did, which recovery replays
 
@@ -55,9 +60,10 @@ class MacroPolicy:
         """The policy over all columns of the training data, reduced to the columns that it uses."""
         parts = [actor] if switcher is None else [actor, switcher]
         used = torch.cat([part.used_columns() for part in parts]).unique()
+        kept = features.select(used)
         return cls(
-            config,
-            features.select(used),
+            replace(config, encoder=kept.spec()),
+            kept,
             quantiser.select(used),
             actor.renumbered(used),
             None if switcher is None else switcher.renumbered(used),
@@ -72,45 +78,82 @@ class MacroPolicy:
     def initial_state(self, batch: int) -> PolicyState:
         """The state of `batch` environments before their first frame."""
         macro, action = (torch.full((batch,), value, device=self.device) for value in (self._first, -1))
-        return PolicyState(macro, action)
+        return PolicyState(macro, action, History.start(self.features, batch))
 
     def restart(self, state: PolicyState, which: Bool[Tensor, " batch"]) -> PolicyState:
         """The state where the environments of `which` begin anew while the others run on."""
         macro = torch.where(which, self._first, state.macro)
-        restarted = which if state.restarted is None else state.restarted | which
         action = torch.where(which, -1, state.action)
-        return PolicyState(macro, action, state.previous, restarted)
+        return PolicyState(macro, action, state.history.restart(which))
 
     @torch.inference_mode()
     def act(
-        self, images: UInt8[Tensor, "batch height width 3"], state: PolicyState
-    ) -> tuple[Int64[Tensor, " batch"], PolicyState]:
-        """The action of every environment and its state after this frame; errors as of `decide`."""
-        scores, state = self.decide(images, state)
+        self, observation: Observation, state: PolicyState
+    ) -> tuple[Num[Tensor, "batch *dims"], PolicyState]:
+        """The action of every environment, a class or a vector, and the state after; errors as `decide`."""
+        scores, state = self.decide(observation, state)
+        if self.config.vector:
+            return self.restored(scores, observation), state
         actions = scores.argmax(1)
         return actions, replace(state, action=actions)
 
     @torch.inference_mode()
     def decide(
-        self, images: UInt8[Tensor, "batch height width 3"], state: PolicyState
-    ) -> tuple[Float[Tensor, "batch actions"], PolicyState]:
-        """The score of every action, of which the highest is to be taken, and the state but for that action.
+        self, observation: Observation, state: PolicyState
+    ) -> tuple[Float[Tensor, "batch outputs"], PolicyState]:
+        """The scores of the current macro-actions, and the state but for the action that is then taken.
 
-        Raises ValueError where the images are not of the size the policy was trained on.
+        Args:
+            observation: the policy's inputs by key, a row for every environment.
+            state: of `initial_state`, `restart`, or the frame before.
+
+        Raises ValueError where an input is missing or not of the size the policy was trained on.
         """
-        if tuple(images.shape[1:]) != (*self.config.image_shape, 3):
-            wanted = "x".join(map(str, (*self.config.image_shape, 3)))
-            raise ValueError(
-                f"an image is {'x'.join(map(str, images.shape[1:]))}: the policy was trained on {wanted}"
-            )
-        previous = images if state.previous is None else state.previous
-        if state.restarted is not None:
-            previous = torch.where(state.restarted[:, None, None, None], images, previous)
-        levels = self.quantiser.levels(self.features.values(images, previous))
-        frames = Frames(levels, images, previous)
+        seen, history = state.history.push(self._checked(observation))
+        frames = self.frames(seen)
         macro = self._switch(frames, state)
         scores = self.actor.scores(frames)[torch.arange(len(macro), device=macro.device), macro]
-        return scores, PolicyState(macro, state.action, images)
+        return scores, PolicyState(macro, state.action, history, seen)
+
+    def restored(
+        self, scores: Float[Tensor, "batch outputs"], observation: Observation
+    ) -> Float[Tensor, "batch dims"]:
+        """The vectors that scores stand for. Raises ValueError for a policy of classes."""
+        transform = self.config.actions
+        if transform is None:
+            raise ValueError("the policy's actions are classes: its scores stand for no vectors")
+        return transform.restore(scores, observation.get(self.config.action_state))
+
+    def frames(self, seen: Seen) -> Frames:
+        """What its classifiers look at."""
+        levels = self.quantiser.levels(self.features.values(seen))
+        if not self._networks:
+            return Frames(levels)
+        (camera,) = self.config.cameras
+        return Frames(levels, seen[0][camera], seen[1][camera])
+
+    @property
+    def loss(self) -> Loss:
+        """What its classifiers minimise."""
+        if self.config.vector:
+            return HuberLoss(self.config.outputs, LOSSES[self.config.loss])
+        return ExponentialLoss(self.config.outputs)
+
+    @property
+    def _networks(self) -> bool:
+        parts = [self.actor] if self.switcher is None else [self.actor, self.switcher]
+        return any(isinstance(part, ConvNetClassifier) for part in parts)
+
+    def _checked(self, observation: Observation) -> Observation:
+        """The observation. Raises ValueError where an input is missing or has another size."""
+        for key, one in self.config.inputs.items():
+            if key not in observation:
+                raise ValueError(f"the observation has no {key}: it has {', '.join(observation)}")
+            found = tuple(observation[key].shape[1:])
+            if found != one.shape:
+                shapes = ("x".join(map(str, shape)) for shape in (found, one.shape))
+                raise ValueError("{} is {}: the policy was trained on {}".format(key, *shapes))
+        return observation
 
     def _switch(self, frames: Frames, state: PolicyState) -> Int64[Tensor, " batch"]:
         """The macro-action of every environment at these frames."""
@@ -206,8 +249,12 @@ class MacroPolicy:
         try:
             policy = _assemble(config, load_file(folder / WEIGHTS_NAME, device=str(device)))
             # A frame tells whether the tensors fit one another, before a world is built.
-            black = torch.zeros(1, *config.image_shape, 3, dtype=torch.uint8, device=policy.device)
-            policy.act(black, policy.initial_state(1))
+            kinds = {0: torch.int64, 1: torch.float32, 3: torch.uint8}
+            blank = {
+                key: torch.zeros(1, *one.shape, dtype=kinds[len(one.shape)], device=policy.device)
+                for key, one in config.inputs.items()
+            }
+            policy.act(blank, policy.initial_state(1))
             return policy
         except (SafetensorError, LookupError, TypeError, ValueError, RuntimeError, OSError) as error:
             raise ValueError(
@@ -231,7 +278,7 @@ def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:
         groups.setdefault(group, {})[field_name] = tensor
     return MacroPolicy(
         config,
-        features_from(config.features, *config.image_shape, groups["features"]),
+        encoder_from(config.encoder, groups.get("features", {})),
         Quantiser(**groups["quantiser"]),
         classifier_from(groups["actor"]),
         classifier_from(groups["switcher"]) if config.switches or len(config.starts) > 1 else None,

@@ -7,14 +7,18 @@ of frames 1..n that end in q with at most s transitions, and B_s(n, q) that of f
     F'_s(n, q) = min( F_s(n-1, q), min_{q'} [F_{s-1}(n-1, q') + T_n(q', q)] ), B' likewise with n+1,
 
 is the least cost of all other frames when frame n has label q, and V + c the least cost of any path through q
-there (a min-marginal).
+there (a min-marginal). Those of chains are in `chain_marginals`.
 """
 
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from dpmacro.segmentation.recursion import blocks_of, checked, frames_inside, pad, recursion
+from dpmacro.segmentation.arguments import checked
+from dpmacro.segmentation.chain_marginals import chain_costs_without
+from dpmacro.segmentation.padding import blocks_of, frames_inside, mirror, pad
+from dpmacro.segmentation.recursion import recursion
+from dpmacro.segmentation.segments import follows_chain
 
 __all__ = ["costs_without", "margins"]
 
@@ -25,13 +29,22 @@ def margins(
     max_transitions: int,
     labels: Int64[Tensor, " frames"],
     transition_costs: Float[Tensor, "frames macros macros"] | None = None,
+    order: str = "free",
 ) -> Float[Tensor, " frames"]:
     """What the best path through another label would cost more, for every frame of an optimal segmentation.
 
     Args and errors are those of `segment`; `labels` is what it returned. 0 or more (up to rounding), in the
-    unit of the costs; infinite with one macro-action, where there is no other label.
+    unit of the costs; infinite where there is no other label: with one macro-action, and in a chain at frames
+    where no other chain differs, as the first and the last of a trajectory. With order 'chain', labels that
+    are none raise ValueError.
     """
-    marginals = costs + costs_without(costs, lengths, max_transitions, transition_costs=transition_costs)
+    without = costs_without(costs, lengths, max_transitions, transition_costs=transition_costs, order=order)
+    if order == "chain" and not follows_chain(labels, lengths, costs.shape[1]):
+        raise ValueError(
+            f"labels are no chain of {costs.shape[1]} macro-actions: give those that `segment` returns where "
+            f"order is 'chain'"
+        )
+    marginals = costs + without
     own = torch.nn.functional.one_hot(labels, costs.shape[1]).bool()
     return marginals.masked_fill(own, torch.inf).amin(1) - marginals[own]
 
@@ -42,6 +55,7 @@ def costs_without(
     max_transitions: int,
     reach: int = 0,
     transition_costs: Float[Tensor, "frames macros macros"] | None = None,
+    order: str = "free",
 ) -> Float[Tensor, "frames macros"]:
     """V_n(q): the least cost of all frames but n and `reach` on either side when n has label q; float64.
 
@@ -51,10 +65,17 @@ def costs_without(
     label and back within them would be free wherever the bound has slack, and every label of n as good as any
     other.)
     `reach` of 1 or more goes without transition costs (ValueError).
+
+    With order 'chain', V_n(q) is infinite where no chain has label q at frame n: fewer than q frames come
+    before it or fewer than S - q after it. The labels before a trajectory and after it are known, 0 and S, so
+    that one transition may lie among the frames left out at its ends, too. Where no chain has as few as one
+    there, which takes a trajectory of fewer than S + 2 reach + 2 frames, they hold any number.
     """
-    costs, lengths, transition_costs = checked(costs, lengths, max_transitions, transition_costs)
+    costs, lengths, transition_costs = checked(costs, lengths, max_transitions, transition_costs, order)
     if reach < 0 or (reach > 0 and transition_costs is not None):
         raise ValueError(f"reach is {reach}: give 0 or more, and 0 with transition costs")
+    if order == "chain":
+        return chain_costs_without(costs, lengths, reach, transition_costs)
     parts = []
     for frames, part in blocks_of(costs, lengths):
         changes = None if transition_costs is None else transition_costs[frames].double()
@@ -66,9 +87,7 @@ def _costs_without(
     costs: Tensor, lengths: Tensor, max_transitions: int, reach: int, changes: Tensor | None
 ) -> Float[Tensor, "frames macros"]:
     inside = frames_inside(lengths).to(costs.device)
-    ends = lengths.cumsum(0)
-    mirrored = (2 * ends - lengths - 1).repeat_interleave(lengths) - torch.arange(int(ends[-1]))
-    mirrored = mirrored.to(costs.device)
+    mirrored = mirror(lengths).to(costs.device)
     backwards = None
     if changes is not None:
         # Walked backwards, frame n-1 is the first after the change that frame n begins.

@@ -9,44 +9,35 @@ s transitions is
 
 for n = 1..N and s = 1..S; m is the first frame after the last transition, and the 0 stands for no
 transition at all. The inner minimum over m is a running minimum along time, so each s is one
-``cummin`` over the padded batch [trajectories, macros, time].
+``cummin`` over the padded batch [trajectories, macros, time]. Where the macro-actions have a fixed order,
+the recursion is that of `chain`.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
-from jaxtyping import Bool, Float, Int64, Num
+from jaxtyping import Float, Int64
 from torch import Tensor
 
-from dpmacro.utils.checks import ArrayLike, as_count, as_lengths, as_tensor
+from dpmacro.segmentation.arguments import checked
+from dpmacro.segmentation.chain import cheapest_chain
+from dpmacro.segmentation.padding import blocks_of, frames_inside, pad
+from dpmacro.segmentation.segments import chain_labels
+from dpmacro.utils.checks import ArrayLike
 
-__all__ = [
-    "Segmentation",
-    "blocks_of",
-    "checked",
-    "cost_of",
-    "frames_inside",
-    "pad",
-    "recursion",
-    "segment",
-]
-
-LARGEST = 1e30  # a cost that is allowed: any float holds it, and sums of many stay finite
-MOST_TRANSITIONS = 2**20  # a larger bound would fill memory with best costs that are all the same
-BLOCK = 2**17  # costs of so many frames and macro-actions stay in a core's cache
+__all__ = ["Segmentation", "cost_of", "recursion", "segment"]
 
 
 @dataclass(frozen=True)
 class Segmentation:
-    """The cheapest macro-labels under a bound on transitions."""
+    """The cheapest macro-labels under a bound on transitions, or in the order of a chain."""
 
     labels: Int64[Tensor, " frames"]  # 0..Q-1
     cost: Float[Tensor, " trajectories"]  # of these labels, transition costs included; float64
-    cost_by_bound: Float[
-        Tensor, "trajectories bounds"
-    ]  # best cost with at most s = 0..S transitions; float64
+    # Best cost with at most s = 0..S transitions; float64. Of a chain one column, `cost`: with fewer
+    # transitions there is none.
+    cost_by_bound: Float[Tensor, "trajectories bounds"]
 
 
 def segment(
@@ -54,6 +45,7 @@ def segment(
     lengths: ArrayLike,
     max_transitions: int,
     transition_costs: ArrayLike | None = None,
+    order: str = "free",
 ) -> Segmentation:
     """The labels that minimise sum_n c_n(q_n) + sum_{n: q_n != q_{n+1}} T with at most S transitions.
 
@@ -64,14 +56,22 @@ def segment(
         transition_costs: [frames, macros, macros], T_n(q', q), the cost of frame n being the first after
             a change from q' to q; finite where q' != q; the first frame of a trajectory and the diagonal
             are never read.
+        order: 'free', any macro-action after any other, S transitions at most; or 'chain', macro-actions
+            0, 1, ..., S one after the other in every trajectory, so exactly S transitions. A chain has
+            S + 1 macro-actions, takes S + 1 frames or more, and reads T_n(q - 1, q) only.
 
-    Of equally cheap labellings one with the fewest transitions comes back, and always the same one.
+    Of equally cheap labellings one with the fewest transitions comes back, and always the same one; of
+    equally cheap chains the one whose last transition is earliest, then the last but one, and so on.
     Works on the device of `costs`, in float64 since prefix sums cancel.
 
     Raises ValueError naming the argument: costs that are not finite, a trajectory without frames, lengths
-    that do not add up, a bound that is negative or no whole number.
+    that do not add up, a bound that is negative or no whole number, another order; for a chain, a number of
+    macro-actions other than S + 1 or a trajectory with fewer frames.
     """
-    costs, lengths, transition_costs = checked(costs, lengths, max_transitions, transition_costs)
+    costs, lengths, transition_costs = checked(costs, lengths, max_transitions, transition_costs, order)
+    if order == "chain":
+        cuts, cost = cheapest_chain(costs, lengths, transition_costs)
+        return Segmentation(chain_labels(cuts, lengths), cost, cost[:, None])
     blocks = []
     for frames, part in blocks_of(costs, lengths):
         changes = None if transition_costs is None else transition_costs[frames].double()
@@ -86,7 +86,10 @@ def cost_of(
     lengths: Int64[Tensor, " trajectories"],
     transition_costs: Float[Tensor, "frames macros macros"] | None = None,
 ) -> Float[Tensor, ""]:
-    """sum_n c_n(q_n) + sum_{n: q_n != q_{n+1}} T of given labels, over all trajectories; float64."""
+    """sum_n c_n(q_n) + sum_{n: q_n != q_{n+1}} T of given labels, over all trajectories; float64.
+
+    Labels in any order: those of a chain cost the same sum.
+    """
     total = costs.double().gather(1, labels[:, None]).sum()
     if transition_costs is None:
         return total
@@ -95,16 +98,6 @@ def cost_of(
     changed[(lengths.cumsum(0) - lengths).to(labels.device)] = False
     after = changed.nonzero()[:, 0]
     return total + transition_costs.double()[after, labels[after - 1], labels[after]].sum()
-
-
-def blocks_of(
-    costs: Float[Tensor, "frames macros"], lengths: Int64[Tensor, " trajectories"]
-) -> Iterator[tuple[slice, Int64[Tensor, " part"]]]:
-    """Trajectories in portions whose costs stay in a core's cache: their frames and their lengths."""
-    size = max(1, BLOCK // (costs.shape[1] * int(lengths.max())))
-    first = 0
-    for part in lengths.split(size if costs.device.type == "cpu" else len(lengths)):
-        yield slice(first, first := first + int(part.sum())), part
 
 
 def _segment_block(
@@ -192,49 +185,7 @@ def _trace_back(
     return labels
 
 
-def frames_inside(lengths: Int64[Tensor, " trajectories"]) -> Bool[Tensor, "trajectories time"]:
-    """Where padded trajectories hold a frame."""
-    return torch.arange(int(lengths.max())) < lengths[:, None]
-
-
-def pad(values: Float[Tensor, "frames ..."], inside: Tensor) -> Tensor:
-    """Concatenated frames as [trajectories, ..., time], zeros after the end of each."""
-    padded = values.new_zeros(*inside.shape, *values.shape[1:])
-    padded[inside] = values
-    return padded.movedim(1, -1).contiguous()
-
-
 def _at(values: Tensor, time: Tensor) -> Tensor:
     """values[s, i, q, time[i]] as [bounds, trajectories, macros]."""
     place = time[:, None, None].expand(*values.shape[:3], 1)
     return values.gather(3, place).squeeze(3)
-
-
-def checked(
-    costs: ArrayLike, lengths: ArrayLike, max_transitions: int, transition_costs: ArrayLike | None
-) -> tuple[Num[Tensor, "frames macros"], Int64[Tensor, " trajectories"], Num[Tensor, "..."] | None]:
-    """The arguments of `segment` as tensors, lengths on the CPU; raises the errors that it names."""
-    as_count("max_transitions", max_transitions, 0, MOST_TRANSITIONS)
-    costs = as_tensor("costs", costs, 2, "[frames, macros], one macro at least")
-    lengths = as_lengths(lengths, len(costs), "costs")
-    _check_sizes("costs", costs, torch.ones(1, dtype=torch.bool, device=costs.device))
-    if transition_costs is None:
-        return costs, lengths, None
-    wanted = [*costs.shape, costs.shape[1]]
-    transition_costs = as_tensor("transition_costs", transition_costs, 3, f"{wanted}").to(costs.device)
-    if list(transition_costs.shape) != wanted:
-        raise ValueError(f"transition_costs have shape {list(transition_costs.shape)}: give {wanted}")
-    off_diagonal = ~torch.eye(costs.shape[1], dtype=torch.bool, device=costs.device)
-    _check_sizes("transition_costs", transition_costs, off_diagonal.expand(wanted))
-    return costs, lengths, transition_costs
-
-
-def _check_sizes(name: str, values: Tensor, read: Bool[Tensor, "..."]) -> None:
-    """Raise ValueError where a value that is read is not finite, or larger than `LARGEST`."""
-    fine = values.abs() <= LARGEST  # NaN is not
-    if not bool(fine.all()) and len(wrong := (read & ~fine).nonzero()):
-        place = tuple(wrong[0].tolist())
-        raise ValueError(
-            f"{name}[{', '.join(map(str, place))}] is {values[place].item()}: give finite costs, "
-            f"{LARGEST:g} at most"
-        )

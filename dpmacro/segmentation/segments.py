@@ -6,7 +6,14 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-__all__ = ["Segment", "macro_segments", "starting_macros", "transition_counts"]
+__all__ = [
+    "Segment",
+    "chain_labels",
+    "follows_chain",
+    "macro_segments",
+    "starting_macros",
+    "transition_counts",
+]
 
 
 @dataclass(frozen=True)
@@ -56,3 +63,39 @@ def transition_counts(
     changed[ends[:-1]] = 0
     total = torch.nn.functional.pad(changed.cumsum(0), (1, 0))
     return total[ends] - total[torch.nn.functional.pad(ends[:-1], (1, 0))]
+
+
+def chain_labels(
+    cuts: Int64[Tensor, "trajectories transitions"], lengths: Int64[Tensor, " trajectories"]
+) -> Int64[Tensor, " frames"]:
+    """Labels 0, 1, ..., S in every trajectory i, where macro-action s begins at frame `cuts[i, s - 1]`.
+
+    Frames count from 0 in each trajectory. The labels are on the device of `cuts`. Raises ValueError naming
+    the trajectory whose cuts do not rise within 1..N_i - 1.
+    """
+    n_transitions = cuts.shape[1]
+    starts = (lengths.cumsum(0) - lengths).to(cuts.device)
+    ends = lengths.to(cuts.device)[:, None]
+    wrong = (torch.cat([torch.zeros_like(ends), cuts, ends], 1).diff(dim=1) < 1).any(1)
+    if bool(wrong.any()):
+        place = int(wrong.nonzero()[0])
+        raise ValueError(
+            f"cuts[{place}] are {cuts[place].tolist()}: give {n_transitions} frames that rise within 1 to "
+            f"{int(lengths[place]) - 1}, as the trajectory has {int(lengths[place])}"
+        )
+    begins = torch.zeros(int(lengths.sum()), dtype=torch.int64, device=cuts.device)
+    begins[(starts[:, None] + cuts).flatten()] = 1
+    begins[starts[1:]] = -n_transitions
+    return begins.cumsum(0)
+
+
+def follows_chain(
+    labels: Int64[Tensor, " frames"], lengths: Int64[Tensor, " trajectories"], macros: int
+) -> bool:
+    """Whether labels go 0, 1, ..., `macros` - 1 in every trajectory, each held for one frame at least."""
+    ends = lengths.to(labels.device).cumsum(0)
+    starts = torch.nn.functional.pad(ends[:-1], (1, 0))
+    steps = labels.diff()
+    steps[ends[:-1] - 1] = 0
+    begun_and_ended = (labels[starts] == 0) & (labels[ends - 1] == macros - 1)
+    return bool(((steps == 0) | (steps == 1)).all() & begun_and_ended.all())

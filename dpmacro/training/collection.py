@@ -16,13 +16,13 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Bool, Float32, Int64, UInt8
 
-import dpmacro.worlds  # noqa: F401  registers the world
 from dpmacro.evaluation.loops import VisitedStates
 from dpmacro.evaluation.rollouts import PlannerSource, one_thread
 from dpmacro.policy.planner import MacroPlanner
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils.processes import spread, stopped
-from dpmacro.worlds.two_flags.teacher import Teacher
+from dpmacro.worlds import expert_of
+from dpmacro.worlds.base import Expert
 
 __all__ = ["Visit", "gather", "visit"]
 
@@ -70,7 +70,7 @@ def visit(source: PlannerSource, world: Mapping[str, Any], seed: int) -> Visit:
         return _visit(*_stage(source, json.dumps(world)), seed)
 
 
-def _visit(env: gym.Env, planner: MacroPlanner, teacher: Teacher, seed: int) -> Visit:
+def _visit(env: gym.Env, planner: MacroPlanner, teacher: Expert, seed: int) -> Visit:
     observation, info = env.reset(seed=seed)
     planner.reset(env)
     teacher.reset(env)
@@ -106,8 +106,10 @@ def _visit(env: gym.Env, planner: MacroPlanner, teacher: Teacher, seed: int) -> 
 
 
 @functools.cache
-def _stage(source: PlannerSource, world: str) -> tuple[gym.Env, MacroPlanner, Teacher]:
+def _stage(source: PlannerSource, world: str) -> tuple[gym.Env, MacroPlanner, Expert]:
     """One world, given as JSON, and planner a process, for one run after another."""
     options = json.loads(world)
     assert source.path is not None, "the teacher has nothing to learn from itself"
-    return gym.make(options.pop("id"), **options), MacroPlanner(MacroPolicy.load(source.path)), Teacher()
+    world_id = options.pop("id")
+    planner = MacroPlanner(MacroPolicy.load(source.path))
+    return gym.make(world_id, **options), planner, expert_of(world_id)

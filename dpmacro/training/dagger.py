@@ -27,12 +27,11 @@ from dpmacro.training.collection import Visit, gather
 from dpmacro.training.options import DaggerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer, TrainingResult, plain_options
-from dpmacro.worlds.two_flags.recording import PHASES, TASK
+from dpmacro.worlds import EXPERTS, recording_of
 
 __all__ = ["DRIVERS", "Iteration", "aggregate"]
 
 DRIVERS = {"driver": ("planner", "teacher")}  # a column of the gathered dataset
-WORLD = "TwoFlags-v0"  # the world that has a teacher
 PATIENCE = 2  # iterations in a row without a new best
 
 
@@ -63,10 +62,10 @@ def aggregate(
     Raises ValueError where the demonstrations name no world that has a teacher.
     """
     dagger = options.dagger
-    if demonstrations.world.get("id") != WORLD:
+    if demonstrations.world.get("id") not in EXPERTS:
         raise ValueError(
             f"{demonstrations.root} was recorded in the world {demonstrations.world.get('id')!r}: "
-            f"--dagger.iterations needs {WORLD!r}, whose teacher can be asked"
+            f"--dagger.iterations needs one whose teacher can be asked, {' or '.join(EXPERTS)}"
         )
     runs = folder.path / "iterations"
     result = Trainer(demonstrations, options, RunFolder(runs / "0")).train()
@@ -117,10 +116,11 @@ def _gathered(
         tqdm(visits, f"Gathering {latest.number + 1}", dagger.episodes, unit="run") as bar,
     ):
         for visit in bar:
-            _add(writer, visit)
+            _add(writer, visit, recording_of(world["id"]).task)
             agreed.append(visit.agreed[~visit.taught])
     height, width = demonstrations.images.shape[1:3]
-    stored = Demonstrations.load(root, transform=ImageTransform((width, height)))
+    transform = ImageTransform((width, height))
+    stored = Demonstrations.load(root, inputs=demonstrations.cameras, transform=transform)
     new = range(len(stored.lengths) - dagger.episodes, len(stored.lengths))
     return stored.select(new), float(np.concatenate(agreed).mean())
 
@@ -128,11 +128,12 @@ def _gathered(
 def _writer(root: Path, demonstrations: Demonstrations) -> DemonstrationWriter:
     if root.exists():
         return DemonstrationWriter.extend(root)
-    names, classes = demonstrations.action_names, {**PHASES, **DRIVERS}
+    names = demonstrations.action_names
+    classes = {**recording_of(demonstrations.world["id"]).truth, **DRIVERS}
     return DemonstrationWriter.create(
         root,
         names,
-        demonstrations.fps,
+        round(demonstrations.fps),
         demonstrations.world,
         False,
         classes,
@@ -140,9 +141,9 @@ def _writer(root: Path, demonstrations: Demonstrations) -> DemonstrationWriter:
     )
 
 
-def _add(writer: DemonstrationWriter, visit: Visit) -> None:
+def _add(writer: DemonstrationWriter, visit: Visit, task: str) -> None:
     truth = {"phase": visit.phases, "driver": visit.taught.astype(np.int64)}
-    writer.add_episode(visit.images, visit.actions, truth, visit.rewards, visit.success, TASK)
+    writer.add_episode(visit.images, visit.actions, truth, visit.rewards, visit.success, task)
 
 
 def _settled(options: TrainOptions, result: TrainingResult) -> TrainOptions:

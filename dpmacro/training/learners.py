@@ -1,16 +1,14 @@
 """The weak learners that the options name, for action classifiers and for switch functions."""
 
 import torch
-from jaxtyping import Int64, UInt8
-from torch import Tensor
 
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.convnet import ConvNetLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
-from dpmacro.features.base import Encoder, frames_before
+from dpmacro.features.base import frames_before
 from dpmacro.features.columns import with_mirror_images
 from dpmacro.features.levels import SortedLevels
-from dpmacro.features.quantising import Quantiser
+from dpmacro.training.data import Columns, TrainingData
 from dpmacro.training.options import PlannerOptions
 
 __all__ = ["WeakLearners", "rounds_of", "shrinkage_of"]
@@ -31,21 +29,17 @@ class WeakLearners:
 
     Args:
         planner: the options that name the kinds of weak learners and the columns that a round searches.
-        images, lengths: the frames, for networks and mirror images.
-        drawn: number of columns that memory lets a round search, 0 for all (see `Plan`).
+        data: the frames.
     """
 
     def __init__(
         self,
         planner: PlannerOptions,
-        images: UInt8[Tensor, "frames height width 3"],
-        lengths: Int64[Tensor, " trajectories"],
-        drawn: int,
+        data: TrainingData,
     ) -> None:
         self._planner = planner
-        self._images = images
-        self._lengths = lengths
-        self._drawn = drawn
+        self._data = data
+        self._drawn = data.plan.drawn  # number of columns that memory lets a round search, 0 for all
 
     def for_classifiers(self, data: SortedLevels) -> WeakLearner:
         """The weak learner of the action classifiers."""
@@ -54,15 +48,14 @@ class WeakLearners:
         stumps = StumpLearner(data, min(drawn, self._drawn or drawn), planner.reuse)
         return stumps if planner.learner == "stumps" else self._networks(False)
 
-    def for_switches(
-        self, data: SortedLevels, features: Encoder, quantiser: Quantiser, mirror: bool
-    ) -> WeakLearner:
+    def for_switches(self, columns: Columns, mirror: bool) -> WeakLearner:
         """The weak learner of the switch functions; with `mirror` it holds mirror images after the frames."""
-        planner = self._planner
+        planner, data = self._planner, columns.levels
         if planner.switch_learner == "convnet":
             return self._networks(mirror)
         if mirror:
-            data = with_mirror_images(data, self._images, self._lengths, features, quantiser)
+            seen, lengths = self._data.observations, self._data.lengths
+            data = with_mirror_images(data, seen, lengths, columns.encoder, columns.quantiser)
         drawn = planner.switch_drawn or self._drawn
         if drawn == 0 and len(data.columns) < data.n_columns:
             data = SortedLevels.build(data.levels)
@@ -70,7 +63,9 @@ class WeakLearners:
 
     def _networks(self, mirror: bool) -> ConvNetLearner:
         """The networks, which look at images alone."""
-        images, before = self._images, frames_before(self._lengths.to(self._images.device))
+        assert self._data.camera is not None, "the data checked it"
+        images = self._data.observations[self._data.camera]
+        before = frames_before(self._data.lengths.to(images.device))
         if mirror:
             images, before = torch.cat([images, images.flip(2)]), torch.cat([before, before + len(before)])
         return ConvNetLearner(images, before, epochs=self._planner.convnet.epochs)

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import torch
 
-from dpmacro.discovery.settings import RECIPES
+from dpmacro.boosting.losses.vectors import LOSSES
+from dpmacro.discovery.settings import ORDERS, RECIPES
 from dpmacro.features.kinds import FEATURES
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
 PLANNERS = ("dpboost", "baseline")
 SEEDS = 2**63  # those that generators take
 LEARNERS = ("stumps", "convnet")
+RELATIVE = ("auto", "true", "false")
 
 
 @dataclass(frozen=True)
@@ -31,16 +33,28 @@ class DatasetOptions:
     """Folder of the LeRobot dataset that holds the demonstrations."""
     episodes: list[int] | None = None
     """Episodes of the dataset to learn from, like '[0,1,2]'; by default all."""
+    inputs: list[str] | None = None
+    """Features that the policy sees, like '[observation.state]'; by default all cameras and state vectors."""
     camera: str | None = None
-    """Name of the image feature to learn from; needed where the dataset stores several."""
+    """Name of the one image feature to learn from, a short form of inputs."""
+    action: list[str] | None = None
+    """Feature that holds the action, or several with a number each, like '[joint_1, joint_2]'."""
+    action_relative: str = "auto"
+    """Whether action vectors are learned less the state, true or false; auto asks the data."""
+    task: str | None = None
+    """Task whose episodes are read, by its words or its number; by default those of all tasks."""
     image_size: tuple[int, int] | None = None
-    """Width and height that images are shrunk to, like '[128,96]'; by default the stored size."""
+    """Width and height that images are shrunk to, like '[128,96]'; large ones by default to about 64x48."""
     truth: str | None = None
     """Column of true macro-labels, for metrics only; by default the one recorded, and none for no truth."""
     symmetric: bool | None = None
     """Whether the world and its mirror image are alike; by default as meta/dpmacro.json says, else false."""
 
     def __post_init__(self) -> None:
+        if self.action_relative not in RELATIVE:
+            raise ValueError(
+                f"dataset.action_relative is {self.action_relative!r}: choose one of {', '.join(RELATIVE)}"
+            )
         if self.image_size is not None and min(self.image_size) < 1:
             raise ValueError(f"dataset.image_size is {list(self.image_size)}: give a width and a height")
 
@@ -78,6 +92,10 @@ class PlannerOptions:
     """Number of macro-actions Q; auto chooses between 1 and max_macros by left-out data."""
     max_macros: int = 4
     """Largest number of macro-actions that macros=auto tries."""
+    order: str = "free"
+    """Order of macro-actions, free, or chain for 0, 1, ..., Q - 1 in every demonstration, each once."""
+    loss: str = "huber"
+    """Loss of action vectors, huber or squared; discrete actions have the exponential loss."""
     max_transitions: int | None = None
     """Most changes of macro-action in a demonstration, S; by default Q - 1 (auto tries 2Q - 2, too)."""
     learner: str = "stumps"
@@ -96,8 +114,8 @@ class PlannerOptions:
     """Number of random rectangles, where the features are rectangles."""
     drawn: int = 0
     """Random columns searched for the best stump in a round; 0 searches all, exactly but more slowly."""
-    reuse: int = 1
-    """Rounds that one search of all columns serves; those after it search its best columns only."""
+    reuse: int = 5
+    """Rounds that one search of all columns serves, whose best columns the others search; 1 is exact."""
     memory_limit: float = 6.0
     """GiB of memory that training may take; where columns exceed it, rounds search random ones."""
     early_stopping: bool = False
@@ -124,6 +142,16 @@ class PlannerOptions:
             _take_from_paper(self)
         if self.type not in PLANNERS:
             raise ValueError(f"planner.type is {self.type!r}: choose one of {', '.join(PLANNERS)}")
+        for name, known in (("loss", LOSSES), ("order", ORDERS)):
+            if getattr(self, name) not in known:
+                raise ValueError(
+                    f"planner.{name} is {getattr(self, name)!r}: choose one of {', '.join(known)}"
+                )
+        if self.order == "chain" and self.max_transitions is not None:
+            raise ValueError(
+                f"planner.max_transitions is {self.max_transitions} and planner.order chain, which has one "
+                "less than macros: leave max_transitions out"
+            )
         for name in ("learner", "switch_learner"):
             if getattr(self, name) not in LEARNERS:
                 raise ValueError(

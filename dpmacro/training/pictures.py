@@ -6,13 +6,24 @@ from matplotlib.figure import Figure
 from torch.utils.tensorboard import SummaryWriter
 
 from dpmacro import figures
-from dpmacro.annotation.pictures import chosen_pixels, mean_images
+from dpmacro.annotation.dimensions import action_lines
+from dpmacro.annotation.pictures import (
+    chosen_columns,
+    chosen_pixels,
+    demonstration_timeline,
+    mean_images,
+    pixels_name,
+)
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.estimator.result import DPBoostResult
 from dpmacro.policy.policy import MacroPolicy
 
 __all__ = ["TrainingPictures"]
 
+ACCURACY = (
+    "Actions are vectors: accuracy is the share of their variance that is explained, 0 to 1. That of switch "
+    "functions (recognise, switch) is a share of frames."
+)
 SHOWN = 6  # restarts in the picture of the objective, the best ones
 
 
@@ -36,28 +47,24 @@ class TrainingPictures:
     ) -> None:
         """All that a finished training has to show."""
         labels, sure = found.labels.numpy(), found.confidence.numpy()
-        first = slice(0, int(demonstrations.lengths[0]))
         truth, names = demonstrations.truth, (demonstrations.truth_name, demonstrations.truth_classes)
-        timeline = figures.timeline(
-            demonstrations.images[first],
-            labels[first],
-            demonstrations.actions[first],
-            None if truth is None else truth[first],
-            f"Demonstration 0: {found.macros} macro-actions",
-            demonstrations.action_names,
-            *names,
-            sure[first],
-        )
+        lines = action_lines(demonstrations, labels) if demonstrations.vector else []
+        title = f"Demonstration 0: {found.macros} macro-actions"
+        timeline = demonstration_timeline(demonstrations, 0, labels, sure, lines, title)
         self.add("timeline", timeline)
         self.add("objective", figures.curves(_loss_panels(found), "Objective per frame"))
         title = "All demonstrations"
         every = figures.timelines(labels, demonstrations.lengths, truth, title, *names, sure)
         self.add("segmentation", every)
         self.add("transitions", figures.transition_graph(labels, demonstrations.lengths))
-        weights = chosen_pixels(policy)
-        if weights is not None:
-            means = mean_images(demonstrations.images, labels, found.macros)
-            self.add("pixels", figures.heat_maps(means, weights, title="Pixels that stumps look at"))
+        if columns := chosen_columns(policy):
+            self.add("columns", figures.column_bars(columns, title="What stumps look at"))
+        for camera, weights in chosen_pixels(policy).items():
+            means = mean_images(demonstrations.observations[camera], labels, found.macros)
+            name = pixels_name(policy, camera)
+            self.add(name, figures.heat_maps(means, weights, title="Pixels that stumps look at"))
+        if demonstrations.vector:
+            self._writer.add_text("accuracy", ACCURACY)
         self._candidates(found)
         switches = found.switches
         for (source, target), share in zip(switches.pairs, switches.recognised.tolist(), strict=True):
@@ -65,7 +72,7 @@ class TrainingPictures:
 
     def _candidates(self, found: DPBoostResult) -> None:
         """The cost by bound of the final segmentation, and the scores of every candidate."""
-        if found.final is not None:
+        if found.final is not None and found.order == "free":  # a chain has one number of transitions
             cost, used = found.final.cost_by_bound.numpy(), found.final.max_transitions
             self.add("elbow", figures.elbow(cost, used, "Left-out data"))
         if found.discovery is None:

@@ -12,26 +12,21 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
-from tqdm import tqdm
 
 from dpmacro import figures
-from dpmacro.boosting.crossfit import CLASSIFIER_FOLDS
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.discovery.candidates import FINALISTS, LEADERS
 from dpmacro.discovery.model_order import Choice, choose
+from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.settings import paper_switches
 from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.estimator.result import DPBoostResult
-from dpmacro.features.base import Encoder
-from dpmacro.features.columns import prepare
-from dpmacro.features.kinds import make_features
 from dpmacro.features.levels import SortedLevels
-from dpmacro.features.memory import DRAWN, Demand, Plan
-from dpmacro.features.quantising import Quantiser
-from dpmacro.policy.config import PolicyConfig
+from dpmacro.features.memory import Plan
+from dpmacro.policy.config import CLASSES, InputConfig, PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
-from dpmacro.policy.recovery import MAX_ACTIONS, Stretches
-from dpmacro.switching.training import SWITCH_FOLDS, SwitchSettings
+from dpmacro.policy.recovery import Stretches
+from dpmacro.switching.training import SwitchSettings
+from dpmacro.training.data import Columns, TrainingData, state_key
 from dpmacro.training.learners import WeakLearners, rounds_of, shrinkage_of
 from dpmacro.training.monitor import Monitor
 from dpmacro.training.options import PlannerOptions, TrainOptions
@@ -39,9 +34,6 @@ from dpmacro.training.pictures import TrainingPictures
 from dpmacro.training.run_folder import RunFolder
 
 __all__ = ["Trainer", "TrainingResult", "plain_options"]
-
-MIRRORED = 3  # images for one while networks get mirror images: the mirror image, and both in one tensor
-TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
 
 
 @dataclass(frozen=True)
@@ -53,6 +45,7 @@ class TrainingResult:
     plan: Plan  # how the feature columns were held
     pretrained: Path  # folder to give to eval.py
     choice: Choice | None  # of the number of macro-actions, where it was left open
+    notes: tuple[str, ...] = ()  # what a user should know of the choices made with the data
 
 
 class Trainer:
@@ -68,85 +61,74 @@ class Trainer:
         self.demonstrations = demonstrations
         self.options = options
         self.folder = folder
-        self.actions = torch.from_numpy(demonstrations.actions)
-        self.lengths = torch.from_numpy(demonstrations.lengths)
         self._settings = _settings(options.planner)
-        most = max(macros for macros, _ in self._settings)
-        if most > len(self.actions):
+        most, n_frames = max(macros for macros, _ in self._settings), int(demonstrations.lengths.sum())
+        if most > n_frames:
             option = "max_macros" if options.planner.macros == "auto" else "macros"
             raise ValueError(
-                f"planner.{option} is {most} but {demonstrations.root} has {len(self.actions)} frames: "
-                "ask for fewer"
+                f"planner.{option} is {most} but {demonstrations.root} has {n_frames} frames: ask for fewer"
             )
-        if options.planner.early_stopping and int(self._groups.max()) == 0:
+        if options.planner.early_stopping and len(demonstrations.lengths) == 1:
             raise ValueError(
                 f"planner.early_stopping leaves demonstrations out and {demonstrations.root} has one: "
                 "record more, or leave it off"
             )
-        if int(self.actions.max()) >= MAX_ACTIONS:
+        if options.planner.recovery and demonstrations.vector:
             raise ValueError(
-                f"{demonstrations.root} has an action {int(self.actions.max())}: number them from 0, "
-                f"a policy holds {MAX_ACTIONS} at most"
+                "planner.recovery replays discrete actions and those of "
+                f"{demonstrations.root} are vectors: leave it off"
             )
-        learners = options.planner.learner, options.planner.switch_learner
-        height, width = demonstrations.images.shape[1:3]
-        if set(learners) != {"stumps"} and min(height, width) < 2:
-            raise ValueError(f"images are {height}x{width}: networks need 2x2 pixels at least, use stumps")
-        self._generator = torch.Generator().manual_seed(options.seed)
-        self._features, self.plan = self._plan()
-        self._images = torch.from_numpy(demonstrations.images).to(options.device)
-        self._learners = WeakLearners(options.planner, self._images, self.lengths, self.plan.drawn)
+        generator = torch.Generator().manual_seed(options.seed)
+        self.data = TrainingData(demonstrations, options, most, generator)
+        self._learners = WeakLearners(options.planner, self.data)
 
-    def train(self, start: Int64[Tensor, " frames"] | None = None) -> TrainingResult:
+    def train(self, start: Int64[Tensor, " frames"] | Discovery | None = None) -> TrainingResult:
         """Prepare features, discover macro-actions, fit switch functions, save.
 
-        `start` is a segmentation that is known already: it takes the place of the search.
+        `start` is a segmentation, or what a search found: it takes the place of the search.
         """
         with SummaryWriter(str(self.folder.tensorboard)) as writer:
-            features, quantiser, data = self._prepare()
-            choice = self._choose(data, writer) if len(self._settings) > 1 else None
+            columns = self.data.prepare()
+            choice = self._choose(columns.levels, writer) if len(self._settings) > 1 else None
             macros, bound = self._settings[0] if choice is None else choice.setting
             monitor = Monitor(writer, self.demonstrations, macros)
-            found = self._fit(features, quantiser, data, macros, bound, choice, start, monitor)
+            if choice is not None and choice.discovery is not None:
+                start = choice.discovery
+            found = self._fit(columns, self._dpboost(macros, bound), start, monitor)
             monitor.close()
-            policy = self._policy(features, quantiser, found)
+            policy = self._policy(columns, found)
             pretrained = self._save(policy, found)
             TrainingPictures(writer, self.folder.figures).show(self.demonstrations, policy, found)
-        return TrainingResult(policy, found, self.plan, pretrained, choice)
+        return TrainingResult(policy, found, self.data.plan, pretrained, choice, self._notes)
 
     def _fit(
         self,
-        features: Encoder,
-        quantiser: Quantiser,
-        data: SortedLevels,
-        macros: int,
-        bound: int,
-        choice: Choice | None,
-        start: Int64[Tensor, " frames"] | None,
+        columns: Columns,
+        dpboost: DPBoost,
+        start: Int64[Tensor, " frames"] | Discovery | None,
         monitor: Monitor,
     ) -> DPBoostResult:
         """Search, unless a segmentation is known, then fit classifiers and switch functions to it."""
-        planner, dpboost = self.options.planner, self._dpboost(macros, bound)
-        given = data, self.actions, self.lengths
-        shared = {"groups": self._groups, "on_round": monitor.on_round}
-        discovery = None if choice is None else choice.discovery
-        if discovery is None:
-            discovery = dpboost.discover_levels(*given, known=start, **shared)
-        mirror = self._mirror and macros > 1
+        planner = self.options.planner
+        given = columns.levels, self.data.actions, self.data.lengths
+        shared = {"groups": self.data.groups, "on_round": monitor.on_round}
+        if not isinstance(start, Discovery):
+            start = dpboost.discover_levels(*given, known=start, **shared)
+        mirror = self.data.mirror and dpboost.macros > 1
         return dpboost.fit_levels(
             *given,
-            learner=self._learners.for_classifiers(data),
-            switch_learner=self._learners.for_switches(data, features, quantiser, mirror),
+            learner=self._learners.for_classifiers(columns.levels),
+            switch_learner=self._learners.for_switches(columns, mirror),
             shrinkage=shrinkage_of(planner, planner.learner, planner.shrinkage),
             switches=self._switch_settings,
-            discovery=discovery,
+            discovery=start,
             **shared,
         )
 
     def _save(self, policy: MacroPolicy, found: DPBoostResult) -> Path:
         """Save the policy and the segmentation; returns its folder."""
         options = plain_options(self.options)
-        return self.folder.checkpoint(len(found.loss), policy, options, found.labels, self.lengths)
+        return self.folder.checkpoint(len(found.loss), policy, options, found.labels, self.data.lengths)
 
     @property
     def _switch_settings(self) -> SwitchSettings:
@@ -173,6 +155,8 @@ class Trainer:
             switch_weight=planner.switch_weight,
             early_stopping=planner.early_stopping,
             recipe=planner.recipe,
+            loss=planner.loss,
+            order=planner.order,
             seed=self.options.seed,
             device=self.options.device,
         )
@@ -182,79 +166,56 @@ class Trainer:
         discoveries = []
         for macros, bound in self._settings[1:]:
             monitor = Monitor(writer, self.demonstrations, macros, f"Q{macros}_S{bound}")
-            shared = {"groups": self._groups, "on_round": monitor.on_round}
-            dpboost = self._dpboost(macros, bound)
-            discoveries.append(dpboost.discover_levels(data, self.actions, self.lengths, **shared))
+            shared = {"groups": self.data.groups, "on_round": monitor.on_round}
+            given = data, self.data.actions, self.data.lengths
+            discoveries.append(self._dpboost(macros, bound).discover_levels(*given, **shared))
             monitor.close()
         choice = choose([one for one in discoveries if one is not None])
         chart = figures.selection_chart(choice.points, choice.place, "How many macro-actions?")
         TrainingPictures(writer, self.folder.figures).add("selection", chart)
         return choice
 
-    def _plan(self) -> tuple[Encoder, Plan]:
-        """The feature set, and how its columns are held."""
-        planner = self.options.planner
-        n_frames, height, width = self.demonstrations.images.shape[:3]
-        features = make_features(planner.features, height, width, planner.rectangles, self._generator)
-        most = max(macros for macros, _ in self._settings)
-        tried = max(planner.restarts, (FINALISTS + LEADERS) * CLASSIFIER_FOLDS) if most > 1 else 1
-        tables = TABLES * 4 * tried * most * (int(self.actions.max()) + 1)
-        image_bytes, mirror = self.demonstrations.images[0].size, self._mirror and most > 1
-        stumps, networks = planner.switch_learner == "stumps", planner.switch_learner == "convnet"
-        switches = TABLES * 4 * most * (most - 1) * (SWITCH_FOLDS + 1) + stumps * DRAWN * planner.switch_drawn
-        demand = Demand(
-            n_frames,
-            image_bytes,
-            features.count,
-            tables,
-            copies=int(mirror and stumps),
-            switch_bytes=(1 + mirror) * switches + (mirror and networks) * MIRRORED * image_bytes,
-        )
-        return features, Plan.fitting(demand, planner.memory_limit)
-
-    def _prepare(self) -> tuple[Encoder, Quantiser, SortedLevels]:
-        """Features of every frame, quantised and, where memory allows, sorted."""
-        with tqdm(desc="Features", total=self.plan.columns, unit="column") as bar:
-            parts = self._images, self.lengths, self._features, self.plan, self._generator
-            return prepare(*parts, bar.update)
-
     @property
-    def _groups(self) -> Int64[Tensor, " trajectories"]:
-        """The number of every trajectory: each is left out alone."""
-        return torch.arange(len(self.lengths))
+    def _notes(self) -> tuple[str, ...]:
+        """What the demonstrations and their actions tell of the choices made."""
+        transform = self.data.transform
+        return (*self.demonstrations.notes, *(transform.report() if transform is not None else ()))
 
-    @property
-    def _mirror(self) -> bool:
-        """Whether switch functions learn from mirror images, too: in a symmetric world only."""
-        given = self.options.dataset.symmetric
-        if self.options.planner.recipe == "paper":
-            return False
-        return self.demonstrations.symmetric if given is None else given
-
-    def _policy(self, features: Encoder, quantiser: Quantiser, found: DPBoostResult) -> MacroPolicy:
-        demonstrations, planner = self.demonstrations, self.options.planner
-        height, width = demonstrations.images.shape[1:3]
+    def _policy(self, columns: Columns, found: DPBoostResult) -> MacroPolicy:
+        demonstrations, planner, transform = self.demonstrations, self.options.planner, self.data.transform
+        state = state_key(demonstrations) if transform is not None and transform.relative else ""
         odds = [] if found.terms is None else found.terms.log_odds.tolist()
         config = PolicyConfig(
             type=planner.type,
             macros=found.macros,
             starts=found.switches.starts,
+            inputs={
+                key: InputConfig(values.shape[1:], demonstrations.stored_shapes.get(key))
+                for key, values in demonstrations.observations.items()
+                if key in (*columns.encoder.keys, state)
+            },
+            encoder=columns.encoder.spec(),
             action_names=demonstrations.action_names,
-            image_shape=(height, width),
-            stored_shape=demonstrations.stored_shape,
-            features=planner.features,
+            outputs=self.data.outputs,
+            loss=CLASSES if transform is None else planner.loss,
+            action_transform=None if transform is None else transform.to_dict(),
+            action_state=state,
             switches=found.switches.pairs,
             thresholds=tuple(found.switches.thresholds.tolist()),
             cues=found.switches.cues,
             recovery=planner.recovery,
+            order=planner.order,
             max_transitions=found.max_transitions,
             switch_weight=found.switch_weight,
             change_log_odds=tuple(tuple(row) for row in odds),
+            tasks=demonstrations.tasks,
             world=demonstrations.world,
         )
-        stretches = Stretches.of(found.labels, self.actions, self.lengths)
+        stretches = None
+        if transform is None:
+            stretches = Stretches.of(found.labels, self.data.actions, self.data.lengths)
         learned = found.classifiers, found.switches.classifier
-        return MacroPolicy.compact(config, features, quantiser, *learned, stretches)
+        return MacroPolicy.compact(config, columns.encoder, columns.quantiser, *learned, stretches)
 
 
 def _settings(planner: PlannerOptions) -> list[tuple[int, int]]:

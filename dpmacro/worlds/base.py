@@ -17,6 +17,7 @@ __all__ = [
     "Expert",
     "Moment",
     "Planner",
+    "Recording",
     "SuccessOrFailure",
 ]
 
@@ -40,13 +41,29 @@ class Planner(Protocol):
     def reset(self, env: gym.Env) -> None:
         """Begin an episode of `env`, which was just reset."""
 
-    def act(self, observation: dict[str, Any], info: dict[str, Any]) -> int:
-        """Return the action to take."""
+    def act(self, observation: dict[str, Any], info: dict[str, Any]) -> Any:
+        """Return the action to take, an int or a vector of numbers."""
 
 
 @runtime_checkable
 class Expert(Planner, Protocol):
     """A world's teacher: a planner that may read the world's true state in `reset` and `act`."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What recordings of a world say beside what was seen and done.
+
+    Attributes:
+        task: in words.
+        truth: columns of true labels, each with the names of its labels 0, 1, ...; the name of a column is
+            that of the number in the world's info.
+        symmetric: whether the world and its mirror image are alike.
+    """
+
+    task: str
+    truth: Mapping[str, tuple[str, ...]]
+    symmetric: bool = False
 
 
 @runtime_checkable

@@ -6,20 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from segmented import random_demonstrations, random_policy
+from segmented import IMAGE, STATE, random_demonstrations, random_policy
 
 from dpmacro.annotation import annotate as annotation
 from dpmacro.annotation.annotate import annotate
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.data.vectors import ActionTransform
 from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.features.base import frames_before
 from dpmacro.features.columns import prepare
-from dpmacro.features.kinds import make_features
+from dpmacro.features.kinds import CameraSpec, StateSpec, make_encoder, make_features
 from dpmacro.features.memory import Plan
 from dpmacro.features.quantising import Quantiser
-from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.config import InputConfig, PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.segmentation.segments import transition_counts
 from dpmacro.switching.costs import change_log_odds
@@ -38,31 +39,43 @@ def noise_with_a_rule(seed=0):
     images[:, :, 4:] = images[:, :, 4:] // 2 + 128 * bright[:, 1:, None, None].astype(np.uint8)
     rule = np.concatenate([np.arange(length) >= length // 2 for length in LENGTHS]).astype(int)
     actions = bright[np.arange(len(rule)), rule] + rule
-    return Demonstrations(images, actions, LENGTHS, NAMES, 10, None, {}, Path("data/some"))
+    return Demonstrations.of_images(images, actions, LENGTHS, NAMES, 10.0, None, {}, Path("data/some"))
 
 
 def train(demonstrations, macros=2, truth=None, **options):
     """A policy and what it was trained with; the `truth` takes the place of a search where it is given."""
     generator = torch.Generator().manual_seed(0)
-    features = make_features("rectangles", *SHAPE, 60, generator)
-    images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
+    specs = {}
+    for key, values in demonstrations.observations.items():
+        specs[key] = CameraSpec(*SHAPE) if values.ndim == 4 else StateSpec(demonstrations.state_names[key])
+    features = make_encoder(specs, "rectangles", 60, 5, 0, generator)
+    seen = {key: torch.from_numpy(values) for key, values in demonstrations.observations.items()}
+    lengths = torch.from_numpy(demonstrations.lengths)
     plan = Plan(features.count, features.count, 0, 0.0)
-    features, quantiser, data = prepare(images, lengths, features, plan, generator)
-    given = data, torch.from_numpy(demonstrations.actions), lengths
+    features, quantiser, data = prepare(seen, lengths, features, plan, generator)
+    actions, transform = demonstrations.actions, None
+    if demonstrations.vector:
+        transform = ActionTransform.fit(actions, demonstrations.lengths, names=demonstrations.action_names)
+        actions = transform.targets(actions)
+    given = data, torch.from_numpy(actions), lengths
     chosen = {"rounds": 15, "restarts": 4, "shrinkage": 0.3, "switch_rounds": 20, **options}
     dpboost = DPBoost(macros=macros, **chosen)
     found = dpboost.fit_levels(*given, discovery=dpboost.discover_levels(*given, known=truth))
     switches, odds = found.switches, [] if found.terms is None else found.terms.log_odds.tolist()
     config = PolicyConfig(
-        "dpboost",
-        found.macros,
-        switches.starts,
-        NAMES,
-        SHAPE,
-        "rectangles",
-        switches.pairs,
-        tuple(switches.thresholds.tolist()),
-        switches.cues,
+        type="dpboost",
+        macros=found.macros,
+        starts=switches.starts,
+        inputs={key: InputConfig(values.shape[1:]) for key, values in demonstrations.observations.items()},
+        encoder=features.spec(),
+        action_names=demonstrations.action_names,
+        outputs=found.action_loss.outputs,
+        loss="huber" if transform else "exponential",
+        action_transform=transform.to_dict() if transform else None,
+        switches=switches.pairs,
+        thresholds=tuple(switches.thresholds.tolist()),
+        cues=switches.cues,
+        order=found.order,
         max_transitions=found.max_transitions,
         switch_weight=found.switch_weight,
         change_log_odds=tuple(map(tuple, odds)),
@@ -100,8 +113,8 @@ def test_the_labels_are_those_of_the_training_where_switch_costs_joined():
     images[lit, :2] = 255
     wrong = rng.random(n * length) < 0.2
     actions = np.where(wrong, 1 - bright[:, 0], bright[np.arange(n * length), rule])
-    demonstrations = Demonstrations(
-        images, actions, np.full(n, length), NAMES, 10, None, {}, Path("data/some")
+    demonstrations = Demonstrations.of_images(
+        images, actions, np.full(n, length), NAMES, 10.0, None, {}, Path("data/some")
     )
     policy, found = train(demonstrations, truth=torch.from_numpy(rule), rounds=60)
     if not (found.discovery.kept.scores.runnable and np.array_equal(found.labels, rule)):
@@ -110,6 +123,39 @@ def test_the_labels_are_those_of_the_training_where_switch_costs_joined():
     assert torch.equal(annotate(policy, demonstrations).labels, found.labels)
     by_actions = replace(policy, config=replace(policy.config, switch_weight=0.0))
     assert not torch.equal(annotate(by_actions, demonstrations).labels, found.labels)
+
+
+def vectors_with_a_rule(seed=0):
+    """The first number of the state decides before a hidden change, the second one after it."""
+    rng = np.random.default_rng(seed)
+    state = rng.normal(size=(LENGTHS.sum(), 2)).astype(np.float32)
+    rule = np.concatenate([np.arange(length) >= length // 2 for length in LENGTHS]).astype(int)
+    told = np.sign(state[np.arange(len(rule)), rule])
+    actions = np.column_stack([told, -2 * told + rule, np.full(len(rule), 7)]).astype(np.float32)
+    return Demonstrations(
+        {STATE: state},
+        actions,
+        LENGTHS,
+        ("dx", "gripper", "never moves"),
+        10.0,
+        rule,
+        {},
+        Path("data/some"),
+        state_names={STATE: ("x", "y")},
+    )
+
+
+@pytest.mark.parametrize("order", ["free", "chain"])
+def test_the_labels_of_vectors_are_those_of_the_training(order):
+    demonstrations = vectors_with_a_rule()
+    policy, found = train(demonstrations, switch_weight=0.0, order=order)
+    seen = annotate(policy, demonstrations)
+    assert found.macros == 2 and torch.equal(seen.labels, found.labels)
+    assert float(seen.cost_by_bound[:, -1].sum()) / len(found.labels) == pytest.approx(
+        float(found.loss[-1]), rel=1e-4
+    )
+    agrees = (seen.labels.numpy() == demonstrations.truth).mean()
+    assert max(agrees, 1 - agrees) > 0.9
 
 
 def lit_after_an_action(n=10, length=60):
@@ -129,7 +175,9 @@ def lit_after_an_action(n=10, length=60):
     images = np.where(lit.reshape(-1, 1, 1, 1), 200, 50).astype(np.uint8)
     images = np.broadcast_to(images, (n * length, *SHAPE, 3)).copy()
     lengths = np.full(n, length)
-    demonstrations = Demonstrations(images, actions.reshape(-1), lengths, NAMES, 10, None, {}, Path("lit"))
+    demonstrations = Demonstrations.of_images(
+        images, actions.reshape(-1), lengths, NAMES, 10.0, None, {}, Path("lit")
+    )
     labels = torch.from_numpy(truth.reshape(-1))
     features = make_features("pixels", *SHAPE, 0, torch.Generator()).select(torch.tensor([0]))
     none = torch.zeros(0, 2, dtype=torch.int64)
@@ -140,14 +188,15 @@ def lit_after_an_action(n=10, length=60):
     )
     odds = change_log_odds(labels, torch.from_numpy(lengths), 2).tolist()
     config = PolicyConfig(
-        "dpboost",
-        2,
-        (0,),
-        NAMES,
-        SHAPE,
-        "pixels",
-        ((0, 1),),
-        (0.0,),
+        type="dpboost",
+        macros=2,
+        starts=(0,),
+        inputs={IMAGE: InputConfig((*SHAPE, 3))},
+        encoder=features.spec(),
+        action_names=NAMES,
+        outputs=len(NAMES),
+        switches=((0, 1),),
+        thresholds=(0.0,),
         cues=((1,),),
         switch_weight=1.0,
         change_log_odds=tuple(map(tuple, odds)),
@@ -195,7 +244,8 @@ def test_costs_are_those_of_the_classifiers_at_every_image_and_the_one_before(mo
     monkeypatch.setattr(annotation, "CHUNK", 5)
     policy, demonstrations = random_policy(), random_demonstrations()
     images, lengths = torch.from_numpy(demonstrations.images), torch.from_numpy(demonstrations.lengths)
-    levels = policy.quantiser.levels(policy.features.values(images, images[frames_before(lengths)]))
+    seen = {0: {IMAGE: images}, 1: {IMAGE: images[frames_before(lengths)]}}
+    levels = policy.quantiser.levels(policy.features.values(seen))
     right = torch.nn.functional.one_hot(torch.from_numpy(demonstrations.actions), 3) == 1
     scores = policy.actor.scores(Frames(levels)).double()
     costs = torch.where(right[:, None], -scores, scores).exp().sum(2)
@@ -260,9 +310,9 @@ def test_a_baseline_is_sure_of_its_only_label():
     ("change", "bound", "message"),
     [
         (
-            {"images": np.zeros((100, 48, 64, 3), np.uint8)},
+            {"observations": {IMAGE: np.zeros((100, 48, 64, 3), np.uint8)}},
             None,
-            r"data/some has images of 64x48: the policy was trained on 8x6",
+            r"data/some has observation.image with images of 64x48: the policy was trained on images of 8x6",
         ),
         (
             {"action_names": ("up", "down")},
@@ -280,6 +330,16 @@ def test_a_baseline_is_sure_of_its_only_label():
             r"data/some has the actions 0, 1, 2, 3, 4: the policy knows forward",
         ),
         ({}, -1, "max_transitions is -1"),
+        (
+            {"observations": {STATE: np.zeros((100, 2), np.float32)}},
+            None,
+            r"data/some has no observation.image, which the policy sees: it has observation.state",
+        ),
+        (
+            {"actions": np.zeros((100, 4), np.float32)},
+            None,
+            r"data/some has actions that are vectors: those of the policy are classes",
+        ),
     ],
 )
 def test_what_does_not_fit_is_named_in_a_line(trained, change, bound, message):

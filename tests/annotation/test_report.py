@@ -1,15 +1,17 @@
 """The files of a report, read back."""
 
 import json
+from dataclasses import replace
 
 import matplotlib.image
 import pytest
-from segmented import some_summary
+from segmented import FRONT, STATE, TOP, some_summary
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dpmacro.annotation.pictures import pictures
 from dpmacro.annotation.report import score_text, write_report
 from dpmacro.annotation.summary import SCORES
+from dpmacro.policy.config import InputConfig
 from tests.annotation.test_html import Reader
 
 NAMES = {"segmentation", "transitions", "elbow", "pixels"}
@@ -61,11 +63,38 @@ def test_pictures_numbers_and_events(folder):
 
 
 def test_without_truth_or_stumps_the_page_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr("dpmacro.annotation.report.chosen_pixels", lambda policy: None)
+    monkeypatch.setattr("dpmacro.annotation.report.importances", lambda policy: None)
     summary = some_summary(truth=False)
     write_report(summary, iter([]), tmp_path)
     text = "".join(Reader((tmp_path / "segmentation.html").read_text()).texts)
     assert "no column of true labels" in text and "no map of chosen pixels" in text
+
+
+def text_of(folder, summary):
+    write_report(summary, iter([]), folder)
+    return "".join(Reader((folder / "segmentation.html").read_text()).texts)
+
+
+def test_the_page_of_vectors_tells_what_tells_most(tmp_path):
+    text = text_of(tmp_path, some_summary(keys=(STATE,), vector=True))
+    assert "gripper low, -0.9 sd" in text and "gripper high, +1.1 sd" in text and "usual action" not in text
+    assert "actions4 numbers: dx, dy, gripper, never moves" in text.replace("\n", "")
+    assert "inputsobservation.state" in text and "cameras" not in text
+    assert "no map of chosen pixels" not in text
+
+
+def test_the_page_lists_cameras_actions_and_order(tmp_path):
+    summary = some_summary(keys=(FRONT, TOP))
+    config = summary.policy.config
+    shrunk = {**config.inputs, TOP: InputConfig((10, 8, 3), (480, 640))}
+    names = tuple(f"joint_{k}" for k in range(15))
+    changed = replace(config, inputs=shrunk, order="chain", action_names=names)
+    summary = replace(summary, policy=replace(summary.policy, config=changed))
+    text = text_of(tmp_path, summary)
+    assert "inputsobservation.images.front, observation.images.top" in text
+    assert "camerasfront 16x12, top 8x10, shrunk from 640x480" in text
+    assert "orderchain" in text and "actions15 classes: joint_0, " in text and "joint_11 and 3 more" in text
+    assert "orderfree" in text_of(tmp_path / "free", some_summary())
 
 
 def test_scores_stand_in_columns():

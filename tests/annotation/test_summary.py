@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from segmented import LENGTHS, random_demonstrations, some_summary
+from segmented import LENGTHS, VECTOR, random_demonstrations, some_summary
 
 from dpmacro.annotation.summary import SCORES
 
@@ -48,6 +48,23 @@ def test_segments_confidence_and_macros():
         "actions": dict.fromkeys(summary.demonstrations.action_names, 0),
     }
     assert sum(summary.macros[2]["actions"].values()) == pytest.approx(1)
+
+
+def test_the_dimensions_of_vectors_have_means_and_deviations():
+    summary = some_summary(vector=True)
+    actions = summary.demonstrations.actions.astype(np.float64)
+    one = summary.macros[0]
+    assert "actions" not in one and [row["name"] for row in one["dimensions"]] == list(VECTOR)
+    held = summary.labels == 0
+    means, off = np.array([[row["mean"], row["deviations"]] for row in one["dimensions"]]).T
+    np.testing.assert_allclose(means, actions[held].mean(0), rtol=1e-5)
+    wanted = (actions[held].mean(0) - actions.mean(0))[:3] / actions.std(0)[:3]
+    np.testing.assert_allclose(off, [*wanted, 0], atol=1e-5)
+    assert means[2] == pytest.approx(10) and off[2] == pytest.approx(-((13 / 15) ** 0.5), abs=1e-5)
+    assert summary.macros[1]["dimensions"] == []
+    assert json.loads(json.dumps(summary.as_json()))["macros"] == summary.macros
+    assert [line.name for line in summary.action_lines] == ["gripper", "dx", "dy"]
+    assert some_summary().action_lines == []
 
 
 def test_the_cost_is_that_of_a_frame():

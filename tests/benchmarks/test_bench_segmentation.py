@@ -16,7 +16,8 @@ SCRIPT = ROOT / "benchmarks/bench_segmentation.py"
 sys.path.insert(0, str(SCRIPT.parent))  # as the script itself finds its neighbours
 
 from bench_segmentation import BenchOptions, dpmacro, main, table  # noqa: E402
-from segmentation_peers import PEERS, Setting, _sliding_means, _starts  # noqa: E402
+from segmentation_grid import Setting, sliding_means  # noqa: E402
+from segmentation_peers import PEERS, _starts  # noqa: E402
 from segmentation_sources import Source, from_dataset  # noqa: E402
 
 from dpmacro.metrics import segmentation_scores, transitions  # noqa: E402
@@ -77,7 +78,7 @@ def test_a_peer_finds_what_it_is_made_for(method, kind):
 def test_padding_has_no_say_in_a_hidden_markov_model():
     pytest.importorskip("dynamax")
     import jax
-    from segmentation_dynamax import _autoregressive_model, _padded, _regression_model
+    from segmentation_dynamax import _autoregressive_model, _linear_model, _padded, _regression_model
 
     source = planted("rule")
     n, columns = source.frames.shape
@@ -91,6 +92,8 @@ def test_padding_has_no_say_in_a_hidden_markov_model():
     assert not observed.all()
     for fit, emissions in (
         (_autoregressive_model(2, columns, 3), values),
+        (_autoregressive_model(2, columns, 3, 0.1), values),
+        (_linear_model(2, columns, columns, 3, 0.1), values[:, :, ::-1]),
         (_regression_model(2, 2, columns, 3), actions),
     ):
         inputs = np.dstack([np.roll(values, 1, axis=1), observed])
@@ -144,7 +147,7 @@ def test_a_matrix_shares_its_variance_as_asked():
 
 def test_sliding_means_stay_in_their_trajectory():
     values = np.array([[0.0], [1], [2], [10], [20]])
-    means = _sliding_means(values, [slice(0, 3), slice(3, 5)], 3)
+    means = sliding_means(values, [slice(0, 3), slice(3, 5)], 3)
     assert means[:, 0].tolist() == [0.5, 1, 1.5, 15, 15]
 
 
@@ -199,7 +202,7 @@ def test_rows_that_are_there_are_not_found_anew(tmp_path, capsys):
 
     def accuracies(**options):
         main(BenchOptions(quick=True, **shared | options))
-        found = re.findall(r"^uniform cuts +(\d+) +([\d.]+) ", capsys.readouterr().out, re.MULTILINE)
+        found = re.findall(r"^uniform cuts +(\d+) +(\d\.\d{3}) ", capsys.readouterr().out, re.MULTILINE)
         return [(int(n), float(value)) for n, value in found]
 
     [(_, truly)] = accuracies()

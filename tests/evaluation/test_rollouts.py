@@ -73,7 +73,7 @@ class Stroller:
 
 @dataclass(frozen=True)
 class Strolling(PlannerSource):
-    def planner(self):
+    def planner(self, world):
         if self.path is not None:
             raise ValueError(f"{self.path} holds no planner")
         return Stroller()
@@ -146,7 +146,7 @@ class Rambler:
 class Rambling(PlannerSource):
     memory: bool = True
 
-    def planner(self):
+    def planner(self, world):
         return Rambler(self.memory)
 
 
@@ -178,7 +178,7 @@ class Scripted(PlannerSource):
     cycle: tuple[int, ...] = (TURN_LEFT,)
     memory: bool = True
 
-    def planner(self):
+    def planner(self, world):
         return Script(self.begin, self.cycle, self.memory)
 
 

@@ -1,9 +1,10 @@
 """Plans hold as many columns as fit, and name the memory that would do where none fit."""
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.features.memory import GIB, LEAST_COLUMNS, LIBRARIES, Demand, Plan
+from dpmacro.features.memory import GATHERED, GIB, LEAST_COLUMNS, LIBRARIES, VALUES, Demand, Plan
 
 
 def test_the_sizes_of_the_goal():
@@ -46,3 +47,42 @@ def test_a_plan_stays_within_the_limit_and_uses_what_there_is(
         assert plan.columns == n_columns or plan.gibibytes + (1 + copied) * n_frames / GIB > limit
         more = LIBRARIES + n_frames * (9216 + boosting + 5)
         assert plan.drawn == plan.columns or more > limit * GIB
+
+
+def test_columns_that_are_never_left_out_set_the_least():
+    demand = Demand(150_000, 6912, 4096 + 1078, 200, always=1078, inputs=4)
+    limits = [n / 8 for n in range(8, 80)]
+    plans = []
+    for limit in limits:
+        try:
+            plans.append(Plan.fitting(demand, limit))
+        except ValueError:
+            assert not plans, "a larger limit does what a smaller one did"
+    assert all(plan.columns >= 1078 and plan.drawn in range(0, plan.columns + 1) for plan in plans)
+    assert plans[0].columns < 2000 and plans[-1].columns == 4096 + 1078 and plans[-1].drawn == 0
+    assert LEAST_COLUMNS <= plans[0].drawn < 1078, "a round may search fewer than are kept"
+
+
+@pytest.mark.parametrize(
+    ("always", "inputs", "remedies"),
+    [
+        (0, 1, "give that, shrink images by --dataset.image_size, or take fewer --dataset.episodes"),
+        (
+            100,
+            3,
+            "give that, leave out some --dataset.inputs, shrink images by --dataset.image_size, "
+            "or take fewer --dataset.episodes",
+        ),
+        (4096, 2, "give that, leave out some --dataset.inputs, or take fewer --dataset.episodes"),
+        (4096, 1, "give that, or take fewer --dataset.episodes"),
+    ],
+)
+def test_what_does_not_fit_has_remedies(always, inputs, remedies):
+    with pytest.raises(ValueError) as error:
+        Plan.fitting(Demand(10**6, 9216, 4096, 200, always=always, inputs=inputs), 1.0)
+    assert str(error.value).endswith(remedies)
+
+
+def test_copies_of_large_observations_are_made_a_part_at_a_time():
+    large = Plan.fitting(Demand(20_000, 200_000, 1000, 12), 100.0)
+    assert large.gibibytes * GIB < LIBRARIES + 20_000 * (200_000 + 1000) + GATHERED + 4 * VALUES + 1

@@ -14,6 +14,8 @@ from matplotlib.text import Text
 from dpmacro.discovery.model_order import Point
 from dpmacro.figures import (
     OUTCOME_COLOURS,
+    Line,
+    column_bars,
     curves,
     edge_counts,
     elbow,
@@ -29,7 +31,7 @@ from dpmacro.figures import (
     to_png,
     transition_graph,
 )
-from dpmacro.figures.style import faded
+from dpmacro.figures.style import PALETTE, faded, shortened
 from dpmacro.metrics.success import wilson_interval
 
 
@@ -66,6 +68,35 @@ def sure_timelines():
     return timelines(labels, lengths, labels, "", "subgoal", ("open", "go"), confidence, [7, 123, 9])
 
 
+def lines(frames, count, labels=None):
+    """Walks at random, the first of them a gripper that opens and closes with every macro-action."""
+    values = np.cumsum(np.random.default_rng(0).normal(size=(frames, count)), 0) / frames**0.5
+    if labels is not None:
+        values[:, 0] = labels % 2 * 2.0 - 1
+    names = ["gripper", *(f"left_arm_joint_with_a_long_name_{k}.pos" for k in range(1, count))]
+    return [Line(name, values[:, k], k == 0) for k, name in enumerate(names)]
+
+
+def vectors(frames=5000, macros=12, count=8, cameras=("front", "wrist_left")):
+    images, _, _, _ = demonstration(frames, 1)
+    labels = np.arange(frames) * macros // frames
+    names, confidence = [f"stage {number}" for number in range(macros)], np.linspace(0, 1, frames)
+    seen = {camera: images[:, : 48 - 12 * place] for place, camera in enumerate(cameras)}
+    truth = labels[::-1].copy() if cameras else None
+    return timeline(
+        seen, labels, lines(frames, count, labels), truth, "Vectors", (), "stage", names, confidence
+    )
+
+
+def bars(macros):
+    rng = np.random.default_rng(macros)
+    names = [f"left_arm_joint_{k}.pos - right_arm_joint_{k}.pos, change over 15 frames" for k in range(9)]
+    weights = [
+        dict(zip([*names, "camera front"], rng.random(10).tolist(), strict=True)) for _ in range(macros)
+    ]
+    return column_bars(weights, [f"macro-action {q}, 12% of frames" for q in range(macros)], "Columns")
+
+
 def points(bounds):
     return [
         Point(q, s, 0.03 * q - 0.01 * (q - 2) ** 2 * s, 0.008 * s, s % 2 > 0, 0.8 * s)
@@ -100,7 +131,24 @@ PICTURES = {
     "timeline": long_timeline,
     "short timeline": lambda: timeline(*demonstration(3, 1)[:3]),
     "one frame": lambda: timeline(*demonstration(1, 1)),
+    "vectors, two cameras": vectors,
+    "vectors, no camera": lambda: vectors(300, 2, 3, ()),
+    "one frame of a vector": lambda: timeline({}, np.array([0]), [Line("x", np.array([0.5]))]),
+    "no camera, no number": lambda: timeline({}, np.array([0, 1]), []),
+    "classes without a camera": lambda: timeline({}, *demonstration(900, 300)[1:]),
+    "bars of one": lambda: bars(1),
+    "bars of three": lambda: bars(3),
+    "bars of twelve": lambda: bars(12),
+    "bars of nothing": lambda: column_bars([{}, {"x": 0.0}, {"x": 1.0}]),
     "timelines": many_timelines,
+    "two timelines of twelve": lambda: timelines(
+        np.tile(np.arange(12), 4),
+        np.array([24, 24]),
+        np.arange(48) % 12,
+        "Two",
+        "stage",
+        list("abcdefghijkl"),
+    ),
     "timelines without truth": lambda: timelines(np.array([0, 1, 1]), np.array([2, 1])),
     "curves": lambda: curves(
         {q: {"baseline": [3.0, 2.0], "DPBoost": [1.0]} for q in ["loss", "accuracy", "changes", "x"]}
@@ -170,6 +218,67 @@ def test_a_timeline_shows_macro_actions_over_their_frames():
     assert second / (first + second) == pytest.approx(2 / 3, abs=0.02)
     only = to_image(timeline(*demonstration(900, 900)[:3]))
     assert coloured(only, macro_colour(0)).any() and not coloured(only, macro_colour(1)).any()
+
+
+def test_a_timeline_has_a_row_for_every_camera_and_number():
+    texts = [axis.get_ylabel() for axis in vectors().axes]
+    assert texts[:5] == ["front", "wrist_left", "true stage", "macro-action", "gripper"] and len(texts) == 12
+    assert texts[5] == "left_arm_jo…name_1.pos"
+    assert [axis.get_ylabel() for axis in vectors(300, 2, 2, ()).axes][:2] == ["macro-action", "gripper"]
+    heights = [axis.get_position().height for axis in vectors().axes]
+    assert heights[4] == pytest.approx(2 * heights[5], rel=0.05)
+    assert heights[0] == pytest.approx(4 / 3 * heights[1], rel=0.05)  # 48 and 36 pixels tall
+
+
+def test_a_line_lies_where_its_numbers_are_over_its_macro_actions():
+    labels = np.repeat([0, 1], 50)
+    values = np.repeat([-1.0, 3.0], 50)
+    figure = timeline({}, labels, [Line("gripper", values)])
+    axis = figure.axes[1]
+    drawn, zero = axis.lines[1].get_ydata(), axis.lines[0].get_ydata()[0]
+    assert drawn[:50] == pytest.approx(0.08) and drawn[50:] == pytest.approx(0.92)
+    assert (zero - 0.08) / 0.84 == pytest.approx(1 / 4)
+    strip = strip_of(figure, 1)
+    for half, macro in ((strip[:, :500], 0), (strip[:, -500:], 1)):
+        shade = faded(np.array(to_rgb(macro_colour(macro))), np.array(0.22))
+        assert coloured(half, shade).mean() > 0.6
+
+
+@pytest.mark.parametrize(("values", "top"), [([0.1, -0.1], 0.5 + 0.042), ([0.0, 9.0], 0.92)])
+def test_a_tremor_does_not_fill_a_row_and_what_is_far_off_is_cut(values, top):
+    figure = timeline({}, np.array([0, 0]), [Line("x", np.array(values))])
+    assert max(figure.axes[1].lines[1].get_ydata()) == pytest.approx(top)
+
+
+def test_a_part_of_a_line_is_that_of_its_frames():
+    part = Line("x", np.arange(5.0), True).part(slice(2, 4))
+    assert part.values.tolist() == [2, 3] and (part.name, part.tall) == ("x", True)
+
+
+def test_twelve_macro_actions_have_colours_of_their_own():
+    shades = np.array([to_rgb(macro_colour(macro)) for macro in range(12)])
+    assert len(PALETTE) == 12
+    assert min(np.abs(one - other).sum() for one, other in combinations(shades, 2)) > 0.3
+
+
+def test_bars_are_shares_of_all_columns_the_largest_first():
+    weights = [{"a": 1.0, "b": 6.0, "c": 0.0, "d": 3.0}, {"a": 0.0}]
+    figure = column_bars(weights, most=2)
+    first, second = figure.axes
+    assert [bar.get_width() for bar in first.patches] == pytest.approx([0.6, 0.3])
+    assert [text.get_text() for text in first.texts] == ["b", "60%", "d", "30%"]
+    assert not second.patches and [text.get_text() for text in second.texts] == ["none"]
+    assert [axis.get_title(loc="left") for axis in figure.axes] == ["macro-action 0", "macro-action 1"]
+    assert first.get_ylim()[0] > first.get_ylim()[1]
+    with pytest.raises(ValueError, match=r"^there are no weights: "):
+        column_bars([])
+
+
+@given(st.text(max_size=40), st.integers(3, 30))
+def test_a_shortened_text_keeps_its_ends(text, letters):
+    short = shortened(text, letters)
+    assert len(short) <= letters and short[0:1] == text[0:1] and short[-1:] == text[-1:]
+    assert short == text or (len(short) == letters and "…" in short)
 
 
 def test_timelines_draw_every_demonstration_at_its_length():

@@ -16,13 +16,18 @@ from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.features.base import frames_before
 from dpmacro.features.kinds import FEATURES, make_features
 from dpmacro.features.quantising import Quantiser
-from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.config import InputConfig, PolicyConfig
 from dpmacro.policy.planner import MacroPlanner
-from dpmacro.policy.policy import MacroPolicy, PolicyState
+from dpmacro.policy.policy import MacroPolicy
 from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SHAPE = (12, 16)
+KEY = "observation.image"
+
+
+def seen(images, previous):
+    return {0: {KEY: images}, 1: {KEY: previous}}
 
 
 def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0, starts=(0,)):
@@ -30,7 +35,7 @@ def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0, starts=(
     generator = torch.Generator().manual_seed(seed)
     images = torch.randint(0, 256, (50, *SHAPE, 3), dtype=torch.uint8, generator=generator)
     features = make_features(kind, *SHAPE, 200, generator)
-    quantiser = Quantiser.fit(features.values(images, images[frames_before(torch.tensor([50]))]))
+    quantiser = Quantiser.fit(features.values(seen(images, images[frames_before(torch.tensor([50]))])))
 
     def stumps(problems, classes):
         return StumpClassifier(
@@ -43,9 +48,10 @@ def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0, starts=(
         type="dpboost",
         macros=3,
         starts=starts,
+        inputs={KEY: InputConfig((*SHAPE, 3))},
+        encoder=features.spec(),
         action_names=("a", "b", "c"),
-        image_shape=SHAPE,
-        features=kind,
+        outputs=3,
         switches=switches,
         thresholds=(2.0,) * len(switches),
         world={"id": "TwoFlags-v0", "render_size": [128, 96]},
@@ -74,7 +80,7 @@ def test_a_batch_acts_as_its_environments_one_by_one(starts, kind, device):
     state, together = policy.initial_state(4), []
     for t in range(50):
         batch = torch.stack([images[order[t]] for order in orders]).to(device)
-        actions, state = policy.act(batch, state)
+        actions, state = policy.act({KEY: batch}, state)
         together.append((actions.tolist(), state.macro.tolist()))
     for row, order in enumerate(orders):
         actions, macros = run(policy, images[order])
@@ -91,7 +97,7 @@ def test_switches_only_along_observed_changes():
 def test_the_highest_switch_above_its_threshold_wins():
     policy, images = random_policy(switches=((0, 1), (0, 2)))
     previous = images[:1]
-    levels = policy.quantiser.levels(policy.features.values(images[:1], previous))
+    levels = policy.quantiser.levels(policy.features.values(seen(images[:1], previous)))
     scores = policy.switcher.scores(Frames(levels))[0, :, 0]
     for thresholds, macro in (
         (scores + 1, 0),
@@ -109,9 +115,10 @@ def test_a_switch_function_fires_only_right_after_its_cues():
     eager = replace(policy.config, thresholds=(-100.0, -100.0), cues=((2,), (0, 1)))
     policy = replace(policy, config=eager)
     for macro, action in itertools.product((0, 1), (-1, 0, 1, 2)):
-        state = PolicyState(torch.tensor([macro]), torch.tensor([action]), previous=images[:1])
+        before = policy.act({KEY: images[:1]}, policy.initial_state(1))[1]
+        state = replace(before, macro=torch.tensor([macro]), action=torch.tensor([action]))
         changes = action in ((2,), (0, 1))[macro]
-        assert int(policy.act(images[1:2], state)[1].macro) == (1 - macro if changes else macro)
+        assert int(policy.act({KEY: images[1:2]}, state)[1].macro) == (1 - macro if changes else macro)
 
 
 def test_what_was_done_instead_is_what_a_switch_function_follows():
@@ -133,8 +140,9 @@ def test_a_planner_that_sees_the_same_again_leaves_its_circle(tmp_path):
     policy = replace(policy, config=replace(policy.config, thresholds=(100.0,)), stretches=stretches)
     policy.save(tmp_path)
     same = {"pixels": images[0].numpy()}
-    state = replace(policy.initial_state(1), previous=images[:1])
-    first, second = policy.decide(images[:1], state)[0][0].argsort(descending=True)[:2].tolist()
+    first, second = (
+        policy.decide({KEY: images[:1]}, policy.initial_state(1))[0][0].argsort(descending=True)[:2].tolist()
+    )
     for found in (policy, MacroPolicy.load(tmp_path), policy.to("cpu")):
         planner = found.planner(recovery=True)
         for expected in ([first], [first, first], [first, first, second]):  # episodes
@@ -150,8 +158,8 @@ def test_a_planner_that_sees_the_same_again_leaves_its_circle(tmp_path):
 def test_an_environment_that_begins_anew_has_done_nothing():
     policy, images = random_policy(switches=((0, 1),))
     policy = replace(policy, config=replace(policy.config, thresholds=(-100.0,), cues=((0, 1, 2),)))
-    _, state = policy.act(images[:2], policy.initial_state(2))
-    _, state = policy.act(images[2:4], policy.restart(state, torch.tensor([True, False])))
+    _, state = policy.act({KEY: images[:2]}, policy.initial_state(2))
+    _, state = policy.act({KEY: images[2:4]}, policy.restart(state, torch.tensor([True, False])))
     assert state.macro.tolist() == [0, 1]
 
 
@@ -200,7 +208,7 @@ def test_memory_and_two_frames_decide_what_follows():
 
 def test_a_planner_shrinks_what_demonstrations_were_shrunk_from(tmp_path):
     policy, images = random_policy()
-    policy = replace(policy, config=replace(policy.config, stored_shape=(36, 32)))
+    policy = replace(policy, config=replace(policy.config, inputs={KEY: InputConfig((*SHAPE, 3), (36, 32))}))
     policy.save(tmp_path)
     large = torch.randint(0, 256, (30, 36, 32, 3), dtype=torch.uint8)
     shrunk = [cv2.resize(image, SHAPE[::-1], interpolation=cv2.INTER_AREA) for image in large.numpy()]
@@ -210,7 +218,8 @@ def test_a_planner_shrinks_what_demonstrations_were_shrunk_from(tmp_path):
         ValueError, match="the observation: images are 16x12, the policy was trained on 32x36"
     ):
         loaded.planner().act({"pixels": images[0].numpy()}, {})
-    as_shrunk = replace(policy, config=replace(policy.config, stored_shape=None))
+    plain = {KEY: InputConfig((*SHAPE, 3))}
+    as_shrunk = replace(policy, config=replace(policy.config, inputs=plain))
     assert run(loaded, large) == run(as_shrunk, torch.from_numpy(np.stack(shrunk)))
 
 
@@ -228,8 +237,14 @@ def test_an_image_of_another_size_is_refused():
         (lambda folder: (folder / "config.json").unlink(), "holds no config.json"),
         (lambda folder: (folder / "model.safetensors").unlink(), "holds no model.safetensors"),
         (lambda folder: (folder / "config.json").write_text("{"), "is no policy of dpmacro"),
-        (lambda folder: (folder / "config.json").write_text('{"type": "act"}'), "is no policy of dpmacro"),
-        (lambda folder: (folder / "config.json").write_bytes(b"\xff\xfe\x00"), "is no policy of dpmacro"),
+        (
+            lambda folder: (folder / "config.json").write_text('{"type": "act"}'),
+            "is no policy of dpmacro",
+        ),
+        (
+            lambda folder: (folder / "config.json").write_bytes(b"\xff\xfe\x00"),
+            "is no policy of dpmacro",
+        ),
         (lambda folder: (folder / "model.safetensors").write_bytes(b"no tensors"), "cannot be read"),
         (
             lambda folder: (folder / "model.safetensors").write_bytes(
@@ -255,8 +270,13 @@ def test_files_that_cannot_be_read_are_named(tmp_path, harm, message):
         ({"switches": [[0, 1], [1, 9]]}, "switches"),
         ({"thresholds": [0.0]}, "thresholds"),
         ({"thresholds": [0.0, float("nan")]}, "thresholds"),
-        ({"image_shape": [12]}, "image_shape"),
-        ({"features": "hog"}, "features"),
+        ({"inputs": {KEY: {"shape": [12, 16], "stored_shape": None}}}, "inputs"),
+        ({"inputs": {KEY: {"shape": [12, 16, 3], "stored_shape": [1]}}}, "stored_shape"),
+        ({"inputs": {}}, "inputs"),
+        ({"outputs": 0}, "outputs"),
+        ({"loss": "huber"}, "loss"),
+        ({"order": "any"}, "order"),
+        ({"action_transform": {"mean": [0.0]}}, "no transform of actions"),
         ({"world": None}, "world"),
         ({"macros": 0}, "macros"),
         ({"starts": []}, "starts"),
@@ -267,7 +287,7 @@ def test_a_config_that_cannot_be_is_named(tmp_path, changes, message):
     random_policy()[0].save(tmp_path)
     values = json.loads((tmp_path / "config.json").read_text())
     (tmp_path / "config.json").write_text(json.dumps({**values, **changes}))
-    with pytest.raises(ValueError, match=rf"(?s)config\.json is no policy of dpmacro \(.*{message}"):
+    with pytest.raises(ValueError, match=rf"(?s)config\.json is no policy of dpmacro.*\(.*{message}"):
         MacroPolicy.load(tmp_path)
 
 
@@ -305,7 +325,7 @@ def test_one_environment_of_a_batch_starts_anew():
     for t in range(30):
         if t == 10:
             state = policy.restart(state, torch.tensor([False, True]))
-        actions, state = policy.act(images[[t, t % 10 + 20 * (t >= 10)]], state)
+        actions, state = policy.act({KEY: images[[t, t % 10 + 20 * (t >= 10)]]}, state)
         seen.append((actions.tolist(), state.macro.tolist()))
     for row, parts in enumerate([[range(30)], [range(10), range(20, 30)]]):
         alone = [pair for part in parts for pair in zip(*run(policy, images[list(part)]), strict=True)]

@@ -4,7 +4,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpmacro.policy.config import PolicyConfig
+from dpmacro.features.history import History
+from dpmacro.policy.config import InputConfig, PolicyConfig
 from dpmacro.policy.planner import MacroPlanner, PolicyState
 from dpmacro.policy.recovery import LoopBreaker, RecoveringPlanner, Stretches
 from dpmacro.worlds.base import Planner
@@ -12,6 +13,8 @@ from dpmacro.worlds.base import Planner
 LABELS = torch.tensor([0, 0, 0, 1, 1, 0, 0])
 ACTIONS = torch.tensor([1, 1, 0, 2, 2, 0, 1])
 LENGTHS = torch.tensor([5, 2])
+
+KEY = "observation.image"
 
 
 @pytest.fixture
@@ -154,13 +157,17 @@ class Flickering:
     """A policy of three actions under one macro-action, 2 before 1 before 0, whatever it sees."""
 
     device = torch.device("cpu")
-    config = PolicyConfig("baseline", 1, (0,), ("a", "b", "c"), (2, 2), "pixels")
+    config = PolicyConfig("baseline", 1, (0,), {KEY: InputConfig((2, 2, 3))}, {}, ("a", "b", "c"), 3)
 
     def initial_state(self, batch):
-        return PolicyState(torch.zeros(batch).long(), torch.full((batch,), -1))
+        return PolicyState(torch.zeros(batch).long(), torch.full((batch,), -1), History({KEY: (0, 1)}, batch))
 
-    def decide(self, images, state):
-        return torch.tensor([[0.0, 1.0, 2.0]]), PolicyState(state.macro, state.action, images)
+    def decide(self, observation, state):
+        seen, history = state.history.push(observation)
+        return torch.tensor([[0.0, 1.0, 2.0]]), PolicyState(state.macro, state.action, history, seen)
+
+    def restored(self, scores, observation):
+        raise AssertionError("actions are classes")
 
 
 FRAME = {"pixels": np.zeros((2, 2, 3), np.uint8)}

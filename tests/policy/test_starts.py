@@ -10,12 +10,12 @@ from safetensors.torch import load_file
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.policy.policy import MacroPolicy
-from tests.policy.test_policy import random_policy, run
+from tests.policy.test_policy import KEY, random_policy, run, seen
 
 
 def told_at(policy, images, starts):
     """The start whose classifier is surest of each image being the first of a run."""
-    levels = policy.quantiser.levels(policy.features.values(images, images))
+    levels = policy.quantiser.levels(policy.features.values(seen(images, images)))
     scores = policy.switcher.scores(Frames(levels))[:, len(policy.config.switches) :, 0]
     return torch.tensor(starts)[scores.argmax(1)]
 
@@ -37,9 +37,9 @@ def test_a_run_starts_with_the_macro_action_that_its_first_frame_tells(tmp_path,
     loaded = MacroPolicy.load(tmp_path)
     assert loaded.config.starts == (0, 2)
     for own in (policy, loaded, policy.to("cpu")):
-        _, state = own.act(torch.cat([first, second]), own.initial_state(2))
+        _, state = own.act({KEY: torch.cat([first, second])}, own.initial_state(2))
         assert state.macro.tolist() == [0, 2]
-        _, state = own.act(torch.cat([second, first]), state)
+        _, state = own.act({KEY: torch.cat([second, first])}, state)
         assert state.macro.tolist() == [0, 2], "later frames are not asked"
         for shown, macro in ((first, 0), (second, 2)):
             assert set(run(own, torch.cat([shown, images]))[1]) == {macro}
@@ -47,9 +47,9 @@ def test_a_run_starts_with_the_macro_action_that_its_first_frame_tells(tmp_path,
 
 def test_a_start_is_told_anew_where_an_environment_begins_anew():
     policy, _, first, second = several_starts()
-    _, state = policy.act(torch.cat([first, first]), policy.initial_state(2))
+    _, state = policy.act({KEY: torch.cat([first, first])}, policy.initial_state(2))
     state = policy.restart(state, torch.tensor([False, True]))
-    _, state = policy.act(torch.cat([second, second]), state)
+    _, state = policy.act({KEY: torch.cat([second, second])}, state)
     assert state.macro.tolist() == [0, 2]
     planner = policy.planner()
     for shown, macro in ((second, 2), (first, 0)):
@@ -62,10 +62,10 @@ def test_a_switch_function_may_fire_right_at_the_start():
     """It follows the macro-action that the first frame told, not another."""
     policy, _, first, second = several_starts()
     eager = replace(policy, config=replace(policy.config, thresholds=(-100.0, 100.0)))
-    _, state = eager.act(torch.cat([first, second]), eager.initial_state(2))
+    _, state = eager.act({KEY: torch.cat([first, second])}, eager.initial_state(2))
     assert state.macro.tolist() == [1, 2]
     cued = replace(eager, config=replace(eager.config, cues=((0, 1, 2), (0, 1, 2))))
-    _, state = cued.act(torch.cat([first, second]), cued.initial_state(2))
+    _, state = cued.act({KEY: torch.cat([first, second])}, cued.initial_state(2))
     assert state.macro.tolist() == [0, 2], "nothing was done before a first frame"
 
 

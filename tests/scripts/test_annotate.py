@@ -10,7 +10,7 @@ import pytest
 from noise import PHASES, random_episodes
 from segmented import random_policy
 
-from dpmacro.data.lerobot.writer import DemonstrationWriter
+from dpmacro.data.lerobot.writer import AVATAR, DemonstrationWriter
 from dpmacro.utils import cli
 from dpmacro.worlds.two_flags.env import ACTIONS
 
@@ -29,7 +29,7 @@ def script():
 @pytest.fixture(scope="module")
 def policy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("policy")
-    random_policy("pixels", 2, (48, 64), ACTIONS).save(folder)
+    random_policy("pixels", 2, (48, 64), ACTIONS, (AVATAR,)).save(folder)
     return folder
 
 
@@ -95,7 +95,7 @@ def test_a_segmentation_of_some_episodes(script, policy, recorded, tmp_path, mon
 
 def test_a_dataset_of_another_size_is_refused(script, policy, tmp_path, monkeypatch, capsys):
     with DemonstrationWriter.create(
-        tmp_path / "small", ACTIONS, 30, {}, view=False, classes=PHASES
+        tmp_path / "small", ACTIONS, 30.0, {}, view=False, classes=PHASES
     ) as writer:
         for episode in random_episodes(shape=(24, 32, 3)):
             writer.add_episode(**episode)

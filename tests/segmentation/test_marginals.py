@@ -104,3 +104,10 @@ def test_a_reach_needs_free_transitions():
     costs, lengths, changes = problem([4], 2, 0, True)
     with pytest.raises(ValueError, match="reach is 1"):
         costs_without(costs, lengths, 1, 1, changes)
+
+
+def test_transition_costs_of_first_frames_are_not_read():
+    costs, lengths, changes = problem([4, 1, 5], 3, 0, True)
+    wanted = costs_without(costs, lengths, 2, 0, changes)
+    changes[[0, 4, 5]] = torch.nan
+    assert torch.equal(costs_without(costs, lengths, 2, 0, changes), wanted)

@@ -146,8 +146,27 @@ def test_bad_input_is_named(costs, lengths, bound, message):
 
 @pytest.mark.parametrize(
     ("shape", "value", "message"),
-    [((3, 2), 0.0, "shape"), ((3, 2, 2), float("nan"), r"^transition_costs\[0, 0, 1\] is nan")],
+    [((3, 2), 0.0, "shape"), ((3, 2, 2), float("nan"), r"^transition_costs\[1, 0, 1\] is nan")],
 )
 def test_bad_transition_costs_are_named(shape, value, message):
     with pytest.raises(ValueError, match=message):
         segment(torch.zeros(3, 2), torch.tensor([3]), 1, torch.full(shape, value))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=4), st.integers(0, 3), st.integers(0, 2**31))
+def test_transition_costs_of_first_frames_are_not_read(lengths, bound, seed):
+    generator = torch.Generator().manual_seed(seed)
+    costs = torch.randn(sum(lengths), 3, generator=generator)
+    changing = torch.randn(sum(lengths), 3, 3, generator=generator)
+    wanted = segment(costs, lengths, bound, changing)
+    changing[np.cumsum([0, *lengths[:-1]])] = torch.nan
+    found = segment(costs, lengths, bound, changing)
+    assert torch.equal(found.labels, wanted.labels)
+    assert torch.equal(found.cost_by_bound, wanted.cost_by_bound)
+
+
+@pytest.mark.parametrize("order", ["chains", ""])
+def test_an_unknown_order_is_named(order):
+    with pytest.raises(ValueError, match=r"^order is .*: give 'free' or 'chain'$"):
+        segment(torch.zeros(3, 2), [3], 1, order=order)

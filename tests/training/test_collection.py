@@ -9,7 +9,7 @@ from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.evaluation.rollouts import PlannerSource
 from dpmacro.features.kinds import make_features
 from dpmacro.features.quantising import Quantiser
-from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.config import InputConfig, PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.training.collection import gather, visit
 from dpmacro.worlds.two_flags.env import FORWARD, TURN_LEFT, TURN_RIGHT
@@ -24,7 +24,8 @@ def stubborn(folder, action):
     features = make_features("rectangles", 48, 64, 1, torch.Generator())
     votes = torch.nn.functional.one_hot(torch.tensor(action), len(ACTIONS)).float().expand(1, 1, 2, -1)
     actor = StumpClassifier(torch.zeros(1, 1, dtype=torch.int64), torch.zeros(1, 1, dtype=torch.uint8), votes)
-    config = PolicyConfig("baseline", 1, (0,), ACTIONS, (48, 64), "rectangles")
+    inputs = {"observation.image": InputConfig((48, 64, 3))}
+    config = PolicyConfig("baseline", 1, (0,), inputs, features.spec(), ACTIONS, len(ACTIONS))
     quantiser = Quantiser(torch.arange(255, dtype=torch.int32)[None])
     MacroPolicy.compact(config, features, quantiser, actor, None).save(folder)
     return PlannerSource("policy", folder, recovery=False)

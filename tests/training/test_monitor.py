@@ -16,7 +16,7 @@ from dpmacro.training.monitor import STAGES, Monitor
 
 def demonstrations(truth=None):
     return Demonstrations(
-        images=np.zeros((4, 2, 2, 3), np.uint8),
+        observations={"observation.image": np.zeros((4, 2, 2, 3), np.uint8)},
         actions=np.zeros(4, np.int64),
         lengths=np.array([4]),
         action_names=("stay",),

@@ -38,7 +38,9 @@ def lit_digits(folder):
     for start in np.cumsum(data.lengths) - data.lengths:
         images[start : start + 3, -2:, -2:] = 255 * data.truth[start]
     names = ("no", "yes")
-    return Demonstrations(images, data.actions, data.lengths, names, 10, data.truth, {}, folder, "rule")
+    return Demonstrations.of_images(
+        images, data.actions, data.lengths, names, 10, data.truth, {}, folder, "rule"
+    )
 
 
 def two_flags(folder):
@@ -66,7 +68,9 @@ def babyai(folder):
     pytest.importorskip("minigrid")
     runs = [run for run in (run_bot("BabyAI-UnlockLocal-v0", seed, 4) for seed in range(10)) if run]
     parts = (np.concatenate([getattr(run, name) for run in runs]) for name in ("images", "actions"))
-    return Demonstrations(*parts, np.array([len(run.actions) for run in runs]), MOVES, 10, None, {}, folder)
+    return Demonstrations.of_images(
+        *parts, np.array([len(run.actions) for run in runs]), MOVES, 10, None, {}, folder
+    )
 
 
 @pytest.mark.parametrize(

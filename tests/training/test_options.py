@@ -75,7 +75,7 @@ def test_a_training_by_the_papers_recipe(recorded, tmp_path, monkeypatch):
     small = {"rounds": 4, "restarts": 2, "switch_rounds": 3}
     result = trainer(recorded, tmp_path, recipe="paper", **small).train()
     config = result.policy.config
-    assert config.features == "pixels" and config.switch_weight == 0.0 and not config.recovery
+    assert config.encoder["kind"] == "pixels" and config.switch_weight == 0.0 and not config.recovery
     assert config.switches and config.cues == () and not np.any(config.thresholds)
     assert result.found.terms is None and result.found.unsettled == 0
     assert len(result.found.discovery.candidates) == 1, "the training loss alone decides"

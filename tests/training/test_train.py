@@ -21,14 +21,14 @@ from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.images import ImageTransform
 from dpmacro.data.lerobot.reader import WORLD_FILE
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
-from dpmacro.features.base import frames_before
+from dpmacro.features.history import Recording
 from dpmacro.features.memory import GIB, Plan
 from dpmacro.metrics import segments
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.training import trainer as training
+from dpmacro.training.data import TABLES
 from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
-from dpmacro.training.trainer import TABLES
 from dpmacro.utils import cli
 from tests.data.test_demonstrations import SPOILED, root  # noqa: F401  a fixture
 
@@ -139,16 +139,16 @@ def test_the_policy_sees_in_a_run_what_the_trainer_saw(trained, recorded):
     """Levels of a replayed episode, frame by frame as the planner computes them, equal those of the batch."""
     policy = MacroPolicy.load(trained / "checkpoints/last/pretrained_model")
     demonstrations = Demonstrations.load(recorded)
+    (camera,) = policy.config.cameras
     images = torch.from_numpy(demonstrations.images)
-    previous = images[frames_before(torch.from_numpy(demonstrations.lengths))]
-    batch = policy.quantiser.levels(policy.features.values(images, previous))
+    recording = Recording({camera: images}, torch.from_numpy(demonstrations.lengths))
+    batch = policy.quantiser.levels(policy.features.values(recording.seen(policy.features)))
     for trajectory in demonstrations.trajectories:
         state = policy.initial_state(1)
         for n in range(trajectory.start, trajectory.stop):
-            before = images[n : n + 1] if state.previous is None else state.previous
-            single = policy.quantiser.levels(policy.features.values(images[n : n + 1], before))
+            state = policy.act({camera: images[n : n + 1]}, state)[1]
+            single = policy.quantiser.levels(policy.features.values(state.seen))
             assert torch.equal(single[:, 0], batch[:, n])
-            state = policy.act(images[n : n + 1], state)[1]
 
 
 def test_a_seed_repeats_the_policy(trained, recorded, tmp_path, monkeypatch, no_pictures):
@@ -261,8 +261,8 @@ def test_the_memory_of_mirror_images_is_planned(
     [(demand, _)] = given
     assert demand.copies == copies
     scores = (2 if symmetric == "true" else 1) * 4 * 2  # of either direction of change
-    assert demand.switch_bytes > scores + images * demand.image_bytes
-    assert demand.switch_bytes < 3000 + images * demand.image_bytes
+    assert demand.switch_bytes > scores + images * demand.frame_bytes
+    assert demand.switch_bytes < 3000 + images * demand.frame_bytes
 
 
 def switch_learners(monkeypatch):
@@ -326,7 +326,7 @@ def test_shrunk_images_from_training_to_runs(recorded, tmp_path, monkeypatch, no
     call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path}/run", *size)
     path = tmp_path / "run/checkpoints/last/pretrained_model"
     config = MacroPolicy.load(path).config
-    assert (config.image_shape, config.stored_shape) == ((24, 32), (48, 64))
+    assert [(one.shape, one.stored_shape) for one in config.inputs.values()] == [((24, 32, 3), (48, 64))]
     monkeypatch.syspath_prepend(Path(train.__file__).parent / "datasets")
     for name, configuration, options in (
         ("annotate", "AnnotateOptions", [f"--dataset.root={recorded}"]),

@@ -43,7 +43,7 @@ class Still(Planner):
 
 
 class Standing(PlannerSource):
-    def planner(self):
+    def planner(self, world):
         return Still()
 
 

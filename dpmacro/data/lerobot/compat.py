@@ -14,7 +14,7 @@ _NAME = "dpmacro/demonstrations"  # LeRobot wants one; it is written nowhere
 # LeRobot is imported where it is used: processes that only run the teacher need not wait seconds for it.
 
 
-def create_dataset(root: Path, fps: int, features: dict[str, dict[str, Any]]) -> Any:
+def create_dataset(root: Path, fps: int | float, features: dict[str, dict[str, Any]]) -> Any:
     """A LeRobotDataset to add frames to, in a new folder."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 

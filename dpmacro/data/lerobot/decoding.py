@@ -1,57 +1,207 @@
-"""Stored pictures -> RGB arrays: encoded images on all cores, video files from their start."""
+"""Stored pictures -> RGB arrays, on all cores: images in blocks, videos by runs from key frames."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Float64, Int64, UInt8
 
-from dpmacro.data.images import DatasetError, FrameBuffer
+from dpmacro.data.images import DatasetError
 
-DECODE_BLOCK = 256  # frames a thread decodes at a time: few enough to balance, enough to hide the hand-over
+__all__ = [
+    "Clip",
+    "Film",
+    "Picture",
+    "decode_image",
+    "decode_videos",
+    "in_threads",
+    "probe_image",
+    "probe_video",
+    "scan_video",
+]
+
+RUN = 400  # frames that a thread decodes at a time, at least: opening the file and seeking take a few
+DEPTH_FORMATS = ("gray9", "gray10", "gray12", "gray14", "gray16")  # of libav, with or without byte order
 
 
-def decode_images(encoded: np.ndarray, places: Int64[np.ndarray, " frames"], buffer: FrameBuffer) -> None:
-    """Put RGB images from PNG or JPEG bytes [frames] into their places.
+@dataclass(frozen=True)
+class Picture:
+    """How a camera's pictures are stored: their size in pixels, and whether they hold depths, not colours."""
 
-    Raises DatasetError for one that is damaged, and what the buffer raises.
+    height: int
+    width: int
+    depth: bool
+
+
+@dataclass(frozen=True)
+class Film:
+    """The frames of a video file, in the order in which they are shown.
+
+    Attributes:
+        path: of the file.
+        stamps: time stamp of each, in units of the stream.
+        seconds: the same in seconds.
+        keys: number of the key frame that each hangs on.
     """
 
-    def put(frame: int) -> None:
-        content = np.frombuffer(encoded[frame] or b"", np.uint8)
-        image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
-        if image is None:
-            raise DatasetError(
-                f"{buffer.name}: the image of frame {places[frame]} is damaged; record the dataset again"
-            )
-        buffer.put(int(places[frame]), cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+    path: Path
+    stamps: Int64[np.ndarray, " frames"]
+    seconds: Float64[np.ndarray, " frames"]
+    keys: Int64[np.ndarray, " frames"]
 
-    def put_block(start: int) -> None:
-        for frame in range(start, min(start + DECODE_BLOCK, len(encoded))):
-            put(frame)
-
-    put(0)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(put_block, range(0, len(encoded), DECODE_BLOCK)))
+    def nearest(self, seconds: Float64[np.ndarray, " wanted"]) -> Int64[np.ndarray, " wanted"]:
+        """Number of the frame nearest to each time; the earlier of two as near."""
+        after = np.searchsorted(self.seconds, seconds).clip(1, max(len(self.seconds) - 1, 1))
+        pairs = np.stack([after - 1, np.minimum(after, len(self.seconds) - 1)])
+        return pairs[np.abs(self.seconds[pairs] - seconds).argmin(0), np.arange(len(seconds))]
 
 
-def decode_video(path: Path, fps: int, last: int) -> Iterator[tuple[int, np.ndarray]]:
-    """(number, RGB image) of the frames 0..last of a video file, numbered by their time stamps."""
+@dataclass(frozen=True)
+class Clip:
+    """Frames wanted of a film: number `numbers[k]` at `places[k]`; numbers ascend, repeats allowed."""
+
+    film: Film
+    numbers: Int64[np.ndarray, " frames"]
+    places: Int64[np.ndarray, " frames"]
+
+    def runs(self) -> list["Clip"]:
+        """Parts from a key frame on, of RUN frames or more or up to a gap as long, for threads to decode."""
+        keys, starts = self.film.keys[self.numbers], [0]
+        for place in np.flatnonzero(np.diff(keys)) + 1:
+            long = self.numbers[place] - self.numbers[starts[-1]] >= RUN
+            if long or self.numbers[place] - self.numbers[place - 1] > RUN:
+                starts.append(int(place))
+        ends = [*starts[1:], len(self.numbers)]
+        return [
+            Clip(self.film, self.numbers[start:end], self.places[start:end])
+            for start, end in zip(starts, ends, strict=True)
+        ]
+
+
+def in_threads(work: Callable[[Any], None], pieces: Iterable[Any]) -> None:
+    """Call `work` for every piece, on all cores; the first error ends it."""
+    pool = ThreadPoolExecutor(
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    )
+    try:
+        for done in [pool.submit(work, piece) for piece in pieces]:
+            done.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def decode_image(content: Any) -> UInt8[np.ndarray, "height width 3"] | None:
+    """The RGB image of PNG or JPEG bytes; None where they are damaged."""
+    encoded = np.frombuffer(content, np.uint8)
+    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+    return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def probe_image(content: Any) -> Picture | None:
+    """How an encoded image is stored; None where it is damaged."""
+    encoded = np.frombuffer(content, np.uint8)
+    image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
+    if image is None:
+        return None
+    return Picture(image.shape[0], image.shape[1], image.dtype != np.uint8 and image.ndim == 2)
+
+
+def _open_video(path: Path) -> Any:
+    """The container of a video file; what it holds on entering, DatasetError where there is none."""
     if not path.is_file():
         raise DatasetError(f"{path}: is missing; the dataset is half-copied or half-written")
+    container = av.open(f"file:{path}")  # a path as it is may be taken for a protocol
+    if not container.streams.video:
+        container.close()
+        raise DatasetError(f"{path}: holds no video; record the dataset again")
+    return container
+
+
+def probe_video(path: Path) -> Picture:
+    """How a video file is stored."""
     try:
-        with av.open(str(path)) as container:
-            container.streams.video[0].thread_type = "AUTO"
-            for frame in container.decode(video=0):
-                number = round(frame.time * fps)
-                yield number, frame.to_ndarray(format="rgb24")
-                if number >= last:
-                    return
+        with _open_video(path) as container:
+            codec = container.streams.video[0].codec_context
+            return Picture(codec.height, codec.width, (codec.pix_fmt or "").startswith(DEPTH_FORMATS))
     except av.FFmpegError as error:
-        raise DatasetError(
-            f"{path}: cannot be decoded ({error.strerror}); record the dataset again"
-        ) from error
+        raise _damaged(path, error) from error
+
+
+def scan_video(path: Path) -> Film:
+    """The frames that a file lists; nothing is decoded."""
+    stamps, keys = [], []
+    try:
+        with _open_video(path) as container:
+            stream = container.streams.video[0]
+            unit = float(stream.time_base)
+            for packet in container.demux(stream):
+                if packet.pts is not None and not packet.is_discard:
+                    stamps.append(packet.pts)
+                    if packet.is_keyframe:
+                        keys.append(packet.pts)
+    except av.FFmpegError as error:
+        raise _damaged(path, error) from error
+    if not stamps:
+        raise DatasetError(f"{path}: holds no frame; record the dataset again")
+    shown = np.unique(np.array(stamps, np.int64))
+    of_keys = np.flatnonzero(np.isin(shown, keys))
+    hang_on = np.concatenate([[0], of_keys])[np.searchsorted(of_keys, np.arange(len(shown)), "right")]
+    return Film(path, shown, shown * unit, hang_on)
+
+
+def decode_videos(clips: Sequence[Clip], put: Callable[[int, np.ndarray], None]) -> None:
+    """Call `put` with the place and the RGB image of every frame wanted, from several threads at once.
+
+    Raises DatasetError where a file lacks a frame or is damaged.
+    """
+    in_threads(lambda run: _decode(run, put), [run for clip in clips for run in clip.runs()])
+
+
+def _decode(run: Clip, put: Callable[[int, np.ndarray], None]) -> None:
+    film = run.film
+    wanted: dict[int, list[int]] = {}
+    for stamp, place in zip(film.stamps[run.numbers].tolist(), run.places.tolist(), strict=True):
+        wanted.setdefault(stamp, []).append(place)
+    try:
+        # Seeking by time may land on a later key frame where frames are stored in another order than shown.
+        for start in (int(film.stamps[film.keys[run.numbers[0]]]), None):
+            with _open_video(film.path) as container:
+                _decode_from(container, start, wanted, put)
+            if not wanted:
+                return
+    except av.FFmpegError as error:
+        raise _damaged(film.path, error) from error
+    place = wanted[min(wanted)][0]
+    raise DatasetError(f"{film.path}: lists frame {place} but lacks it; record the dataset again")
+
+
+def _decode_from(
+    container: Any, start: int | None, wanted: dict[int, list[int]], put: Callable[[int, np.ndarray], None]
+) -> None:
+    """Put the wanted frames, and forget them, from the key frame at `start` on; None for the file's first."""
+    stream = container.streams.video[0]
+    stream.codec_context.thread_count = 1  # runs keep all cores busy
+    if start is not None:
+        container.seek(start, stream=stream, backward=True, any_frame=False)
+    last, first = max(wanted), True
+    for frame in container.decode(stream):
+        if first and start is not None and frame.pts is not None and frame.pts > min(wanted):
+            return
+        first = False
+        places = wanted.pop(frame.pts, None) if frame.pts is not None else None
+        if places is not None:
+            image = frame.to_ndarray(format="rgb24")
+            for place in places:
+                put(place, image)
+        if not wanted or (frame.pts is not None and frame.pts > last):
+            return
+
+
+def _damaged(path: Path, error: av.FFmpegError) -> DatasetError:
+    return DatasetError(f"{path}: cannot be decoded ({error.strerror}); record the dataset again")

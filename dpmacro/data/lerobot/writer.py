@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
+from dpmacro.data.images import DatasetError
 from dpmacro.data.lerobot.compat import create_dataset, embedding_at_once, quiet, resume_dataset
-from dpmacro.data.lerobot.decoding import DatasetError
 from dpmacro.data.lerobot.reader import WORLD_FILE, StoredDataset
 from dpmacro.utils import interrupts
 from dpmacro.utils.files import replace_folder
@@ -39,7 +39,7 @@ class DemonstrationWriter:
         self,
         root: Path,
         action_names: Sequence[str],
-        fps: int,
+        fps: int | float,
         world: dict[str, Any],
         view: bool,
         classes: Mapping[str, Sequence[str]],
@@ -47,7 +47,7 @@ class DemonstrationWriter:
     ):
         self.root = root
         self.action_names = tuple(action_names)
-        self.fps = fps
+        self.fps = int(fps) if fps == int(fps) else fps  # LeRobot's encoders want a whole number
         self.world = world
         self.view = view
         self.symmetric = symmetric
@@ -62,7 +62,7 @@ class DemonstrationWriter:
         cls,
         root: str | Path,
         action_names: Sequence[str],
-        fps: int,
+        fps: int | float,
         world: dict[str, Any],
         view: bool,
         classes: Mapping[str, Sequence[str]] | None = None,
@@ -104,7 +104,7 @@ class DemonstrationWriter:
         features = old.features
         names = features["action"]["names"]
         about = old.world, VIEW in features, old.truth, old.symmetric
-        writer = cls(old.root, names, int(old.info["fps"]), *about)
+        writer = cls(old.root, names, old.fps, *about)
         writer._sizes = {camera: tuple(features[camera]["shape"]) for camera in {AVATAR, VIEW} & {*features}}
         writer._old = old
         return writer

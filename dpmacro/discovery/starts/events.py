@@ -18,7 +18,7 @@ Places = Callable[[Evidence, int, torch.Generator], Bool[Tensor, " frames"]]
 def cut_at(
     places: Places, evidence: Evidence, restarts: int, generator: torch.Generator
 ) -> Int64[Tensor, "restarts frames"]:
-    """Segmentations cut at such places; in every other one pieces whose means are alike are named the same."""
+    """Segmentations cut at such places; in every other one pieces with means alike are named the same."""
     starts = []
     for restart in range(restarts):
         changes = places(evidence, restart, generator)

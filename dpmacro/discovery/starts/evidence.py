@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Bool, Float, Int64, UInt8
 from torch import Tensor
 
-from dpmacro.discovery.starts.chains import cheapest_chain
 from dpmacro.segmentation.recursion import segment
 
 __all__ = ["Evidence", "best_places", "firsts", "in_turn", "k_means", "principal", "window_means"]
@@ -49,9 +48,8 @@ class Evidence:
 
     def cheapest(self, costs: Float[Tensor, "frames macros"]) -> Int64[Tensor, " frames"]:
         """The macro-labels of least cost, within the bounds."""
-        if self.chain:
-            return cheapest_chain(costs, self.lengths)
-        return segment(costs, self.lengths, self.max_transitions).labels
+        order = "chain" if self.chain else "free"
+        return segment(costs, self.lengths, self.max_transitions, order=order).labels
 
 
 def principal(

@@ -18,15 +18,15 @@ from dpmacro.discovery.starts.linear import Moments
 __all__ = ["KINDS", "evidence_of", "vector_starts"]
 
 SHARES = {  # of the restarts
-    "random": 3,
-    "peaks": 3,
+    "goals": 5,
+    "spectral": 3,
+    "merged": 2,
+    "windows": 2,
     "jumps": 2,
     "shifts": 2,
-    "slow": 2,
-    "goals": 4,
-    "windows": 2,
-    "merged": 1,
-    "spectral": 1,
+    "random": 2,
+    "peaks": 2,
+    "slow": 1,
 }
 
 

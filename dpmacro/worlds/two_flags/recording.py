@@ -1,6 +1,11 @@
 """What a recording of the world TwoFlags tells beside images and actions: its task and its true labels."""
 
-__all__ = ["PHASES", "TASK"]
+from dpmacro.worlds.base import Recording
 
-TASK = "reach the blue flag, then the red flag"
-PHASES = {"phase": ("before blue", "after blue")}  # column of true labels, and the names of the labels 0, 1
+__all__ = ["RECORDING"]
+
+RECORDING = Recording(
+    task="reach the blue flag, then the red flag",
+    truth={"phase": ("before blue", "after blue")},
+    symmetric=True,
+)

@@ -211,7 +211,13 @@ def test_extended_twice_is_as_recorded_in_one_go(tmp_path, view):
 
     ours, theirs = Demonstrations.load(root, camera=AVATAR), Demonstrations.load(at_once, camera=AVATAR)
     for field in fields(Demonstrations):
-        if field.name != "root":
+        if field.name == "observations":
+            assert ours.observations.keys() == theirs.observations.keys()
+            assert all(
+                np.array_equal(ours.observations[name], theirs.observations[name])
+                for name in ours.observations
+            )
+        elif field.name != "root":
             assert np.array_equal(getattr(ours, field.name), getattr(theirs, field.name)), field.name
     stored, expected = open_with_lerobot(root), open_with_lerobot(at_once)
     assert stored.num_episodes == len(LENGTHS) and len(stored) == sum(LENGTHS)

@@ -146,7 +146,7 @@ def test_an_avatar_at_a_wall_is_pressed():
             return FORWARD
 
     class Walking(PlannerSource):
-        def planner(self):
+        def planner(self, world):
             return Walker()
 
     world = {"id": "TwoFlags-v0", "render_size": (64, 48), "max_steps": 640}

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import torch
-from jaxtyping import Float, Int32, Int64, UInt8
+from jaxtyping import Bool, Float, Int32, Int64
 from torch import Tensor
 
-from dpmacro.features.base import CHUNK_FRAMES, frames_last
+from dpmacro.features.base import CHUNK_FRAMES, Seen, frames_last, input_name, look
 
 __all__ = ["Pixels"]
 
@@ -19,27 +20,42 @@ class Pixels:
     Place (channel * height + y) * width + x with channels R, G, B, dR, dG, dB: 18,432 of them at 64x48.
     """
 
+    camera: str
     height: int
     width: int
     places: Int64[Tensor, " columns"]
     kind = "pixels"
+    dtype = torch.int32
+    lags = (0, 1)
 
     @classmethod
-    def all(cls, height: int, width: int) -> "Pixels":
+    def all(cls, camera: str, height: int, width: int) -> "Pixels":
         """2 images x 3 colours x height x width columns."""
-        return cls(height, width, torch.arange(6 * height * width))
+        return cls(camera, height, width, torch.arange(6 * height * width))
 
     @property
     def count(self) -> int:
         """The number of columns."""
         return len(self.places)
 
-    def values(
-        self,
-        images: UInt8[Tensor, "frames height width 3"],
-        previous: UInt8[Tensor, "frames height width 3"],
-    ) -> Int32[Tensor, "columns frames"]:
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The camera's."""
+        return (self.camera,)
+
+    @property
+    def needs(self) -> dict[str, tuple[int, ...]]:
+        """The image and the one before it."""
+        return {self.camera: self.lags}
+
+    @property
+    def sees_pixels(self) -> Bool[Tensor, " columns"]:
+        """All do."""
+        return torch.ones(self.count, dtype=torch.bool, device=self.places.device)
+
+    def values(self, seen: Seen) -> Int32[Tensor, "columns frames"]:
         """0..255 for a colour, -255..255 for a difference."""
+        images, previous = (look(seen, lag, self.camera, (self.height, self.width, 3)) for lag in self.lags)
         rows = self._rows.to(images.device)
         result = torch.empty(self.count, len(images), dtype=torch.int32, device=images.device)
         for start in range(0, len(images), CHUNK_FRAMES):
@@ -51,14 +67,27 @@ class Pixels:
 
     def select(self, columns: Int64[Tensor, " selected"]) -> "Pixels":
         """Just these columns, in this order."""
-        return Pixels(self.height, self.width, self.places[columns.to(self.places.device)])
+        return Pixels(self.camera, self.height, self.width, self.places[columns.to(self.places.device)])
 
-    def footprint(self, weights: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows height width"]:
+    def footprint(self, weights: Float[Tensor, "rows columns"]) -> dict[str, Float[Tensor, "rows _ _"]]:
         """Every column's weight at its pixel, whatever the channel."""
         plane = self.height * self.width
         result = torch.zeros(len(weights), plane, dtype=torch.float64, device=weights.device)
         result.index_add_(1, (self.places % plane).to(weights.device), weights.double())
-        return result.view(-1, self.height, self.width)
+        return {self.camera: result.view(-1, self.height, self.width)}
+
+    def names(self) -> list[str]:
+        """The colour or its change, the camera, and the place in pixels from the upper left corner."""
+        channels = ("R", "G", "B", "change of R", "change of G", "change of B")
+        camera, plane, result = input_name(self.camera), self.height * self.width, []
+        for place in self.places.tolist():
+            y, x = divmod(place % plane, self.width)
+            result.append(f"pixel in {camera}: {channels[place // plane]} at ({x}, {y})")
+        return result
+
+    def spec(self) -> dict[str, Any]:
+        """The camera and the size of its images."""
+        return {"kind": self.kind, "camera": self.camera, "height": self.height, "width": self.width}
 
     def tensors(self) -> dict[str, Tensor]:
         """The places of the columns."""

@@ -3,16 +3,18 @@
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import torch
-from jaxtyping import Float, Int32, Int64, UInt8
+from jaxtyping import Bool, Float, Int32, Int64
 from torch import Tensor
 
-from dpmacro.features.base import CHUNK_FRAMES, frames_last
+from dpmacro.features.base import CHUNK_FRAMES, Seen, frames_last, input_name, look
 
 __all__ = ["Rectangles"]
 
 # The channels of rectangles in terms of R, G, B of the image and R, G, B of the one before it.
+CHANNEL_NAMES = ("R", "G", "B", "change of R", "change of G", "change of B", "R - G", "2B - R - G")
 CHANNELS = torch.tensor(
     [
         [1, 0, 0, 0, 0, 0],
@@ -38,14 +40,19 @@ class Rectangles:
     Boxes are channel, top, left, height, width; the second box of a plain sum has no area.
     """
 
+    camera: str
     height: int
     width: int
     first: Int32[Tensor, "columns 5"]
     second: Int32[Tensor, "columns 5"]
     kind = "rectangles"
+    dtype = torch.int32
+    lags = (0, 1)
 
     @classmethod
-    def draw(cls, height: int, width: int, count: int, generator: torch.Generator) -> "Rectangles":
+    def draw(
+        cls, camera: str, height: int, width: int, count: int, generator: torch.Generator
+    ) -> "Rectangles":
         """`count` random rectangles: sides log-uniform from 1 pixel to the whole image, places uniform."""
 
         def uniform(high: Tensor | int) -> Tensor:
@@ -63,19 +70,31 @@ class Rectangles:
 
         first, second = place(), place()
         second[: count - count // 2, 3:] = 0
-        return cls(height, width, first, second)
+        return cls(camera, height, width, first, second)
 
     @property
     def count(self) -> int:
         """The number of columns."""
         return len(self.first)
 
-    def values(
-        self,
-        images: UInt8[Tensor, "frames height width 3"],
-        previous: UInt8[Tensor, "frames height width 3"],
-    ) -> Int32[Tensor, "columns frames"]:
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The camera's."""
+        return (self.camera,)
+
+    @property
+    def needs(self) -> dict[str, tuple[int, ...]]:
+        """The image and the one before it."""
+        return {self.camera: self.lags}
+
+    @property
+    def sees_pixels(self) -> Bool[Tensor, " columns"]:
+        """All do."""
+        return torch.ones(self.count, dtype=torch.bool, device=self.first.device)
+
+    def values(self, seen: Seen) -> Int32[Tensor, "columns frames"]:
         """Sums over the pixels of one rectangle, or of one minus another."""
+        images, previous = (look(seen, lag, self.camera, (self.height, self.width, 3)) for lag in self.lags)
         rows, factors, starts = (part.to(images.device) for part in self._corners)
         result = torch.empty(self.count, len(images), dtype=torch.int32, device=images.device)
         for start in range(0, len(images), CHUNK_FRAMES):
@@ -89,9 +108,9 @@ class Rectangles:
     def select(self, columns: Int64[Tensor, " selected"]) -> "Rectangles":
         """Just these columns, in this order."""
         columns = columns.to(self.first.device)
-        return Rectangles(self.height, self.width, self.first[columns], self.second[columns])
+        return Rectangles(self.camera, self.height, self.width, self.first[columns], self.second[columns])
 
-    def footprint(self, weights: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows height width"]:
+    def footprint(self, weights: Float[Tensor, "rows columns"]) -> dict[str, Float[Tensor, "rows _ _"]]:
         """Every column's weight spread evenly over its one or two boxes.
 
         A box adds to four corners, of which two running sums make its area.
@@ -104,7 +123,21 @@ class Rectangles:
         for top, left, tall, wide in (part[:, 1:].unbind(1) for part in boxes):
             for y, x, sign in ((0, 0, 1), (0, wide, -1), (tall, 0, -1), (tall, wide, 1)):
                 corners.index_add_(1, (top + y) * size[1] + left + x, sign * each)
-        return corners.view(-1, *size).cumsum(1).cumsum(2)[:, :-1, :-1].clamp_(min=0)
+        return {self.camera: corners.view(-1, *size).cumsum(1).cumsum(2)[:, :-1, :-1].clamp_(min=0)}
+
+    def names(self) -> list[str]:
+        """The channel, the camera, and size and places of the boxes in pixels from the upper left corner."""
+        camera, result = input_name(self.camera), []
+        for (channel, top, left, tall, wide), other in zip(
+            self.first.tolist(), self.second.tolist(), strict=True
+        ):
+            name = f"rectangle in {camera}: {CHANNEL_NAMES[channel]} of {wide}x{tall} at ({left}, {top})"
+            result.append(f"{name} minus at ({other[2]}, {other[1]})" if other[3] * other[4] else name)
+        return result
+
+    def spec(self) -> dict[str, Any]:
+        """The camera and the size of its images."""
+        return {"kind": self.kind, "camera": self.camera, "height": self.height, "width": self.width}
 
     def tensors(self) -> dict[str, Tensor]:
         """The boxes of the columns."""

@@ -1,0 +1,1 @@
+"""What turns observations into feature columns: images, states and tasks, side by side."""

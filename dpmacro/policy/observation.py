@@ -1,0 +1,42 @@
+"""What a world shows, by the keys that a policy was trained with."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dpmacro.policy.config import PolicyConfig
+
+__all__ = ["observed"]
+
+IMAGES, PREFIX = "images.", "observation."
+
+
+def observed(raw: Mapping[str, Any], config: PolicyConfig) -> dict[str, np.ndarray]:
+    """The inputs of a policy in one observation of a world, images shrunk as the demonstrations' were.
+
+    A world may use the policy's own keys, or gymnasium's as LeRobot reads them: `pixels`, one image or one
+    by the camera's name, and `agent_pos` for the state. Raises ValueError for what is missing, and for
+    images of another size than those of the demonstrations.
+    """
+    found = {}
+    for key, one in config.inputs.items():
+        value = _value(raw, key)
+        if value is None:
+            raise ValueError(f"the observation has no {key}: it has {', '.join(map(str, raw))}")
+        value = np.asarray(value)
+        if one.is_camera:
+            value = config.image_transform.of(key).apply(value, "the observation")
+        found[key] = value if value.dtype == np.uint8 or not one.shape else value.astype(np.float32)
+    return found
+
+
+def _value(raw: Mapping[str, Any], key: str) -> Any:
+    name = key.removeprefix(PREFIX)
+    for own in (key, name):
+        if own in raw:
+            return raw[own]
+    if name == "image" or name.startswith(IMAGES):
+        pixels = raw.get("pixels")
+        return pixels.get(name.removeprefix(IMAGES)) if isinstance(pixels, Mapping) else pixels
+    return raw.get("agent_pos") if name == "state" else None
