@@ -14,10 +14,10 @@ from noise import ACTIONS, LENGTHS, PHASES, random_episodes
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.lerobot.writer import DemonstrationWriter
-from dpmacro.features.pixels import Pixels
+from dpmacro.features.encoders.pixels import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.success import wilson_interval
-from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.config import InputConfig, PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils import cli
 from dpmacro.worlds.two_flags.diagnosis import OUTCOMES
@@ -57,10 +57,11 @@ def policy(tmp_path_factory):
         torch.randint(256, (4, 1), generator=generator).to(torch.uint8),
         torch.randn(4, 1, 2, 3, generator=generator),
     )
-    config = PolicyConfig("baseline", 1, (0,), ACTIONS, (48, 64), "pixels", world=WORLD)
+    pixels, inputs = Pixels.all("observation.image", 48, 64), {"observation.image": InputConfig((48, 64, 3))}
+    config = PolicyConfig("baseline", 1, (0,), inputs, pixels.spec(), ACTIONS, 3, world=WORLD)
     cuts = torch.arange(255, dtype=torch.int32).repeat(18432, 1)
     folder = tmp_path_factory.mktemp("policy")
-    MacroPolicy.compact(config, Pixels.all(48, 64), Quantiser(cuts), stumps, None).save(folder)
+    MacroPolicy.compact(config, pixels, Quantiser(cuts), stumps, None).save(folder)
     return folder
 
 

@@ -14,10 +14,10 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dpmacro.boosting.learners.stumps import StumpClassifier
-from dpmacro.features.pixels import Pixels
+from dpmacro.features.encoders.pixels import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.success import wilson_interval
-from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.config import InputConfig, PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 from dpmacro.utils import cli
@@ -49,11 +49,11 @@ def random_policy(world):
             torch.randn(4, problems, 2, classes, generator=generator),
         )
 
-    config = PolicyConfig(
-        "dpboost", 2, (0,), ACTIONS, (48, 64), "pixels", switches=((0, 1),), thresholds=(0.0,), world=world
-    )
+    pixels, inputs = Pixels.all("observation.image", 48, 64), {"observation.image": InputConfig((48, 64, 3))}
+    cut = {"switches": ((0, 1),), "thresholds": (0.0,), "world": world}
+    config = PolicyConfig("dpboost", 2, (0,), inputs, pixels.spec(), ACTIONS, 3, **cut)
     cuts = torch.arange(255, dtype=torch.int32).repeat(18432, 1)
-    return MacroPolicy.compact(config, Pixels.all(48, 64), Quantiser(cuts), stumps(2, 3), stumps(1, 1))
+    return MacroPolicy.compact(config, pixels, Quantiser(cuts), stumps(2, 3), stumps(1, 1))
 
 
 @pytest.fixture(scope="module")

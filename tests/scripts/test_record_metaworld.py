@@ -53,7 +53,7 @@ def test_what_is_recorded_is_what_the_expert_did(dataset, runs):
         expected = np.concatenate([getattr(run, attribute) for run in runs])
         assert np.array_equal(columns[name], expected) and columns[name].dtype == expected.dtype, name
     assert np.array_equal(columns["next.reward"], np.concatenate([run.rewards for run in runs]))
-    assert [row["length"] for row in store.episodes] == [len(run.actions) for run in runs]
+    assert [row.length for row in store.episodes] == [len(run.actions) for run in runs]
     assert columns["next.success"].sum() == 3
     assert (
         out.startswith(f"kept 3 of 3 runs, 0 failed, {len(columns['stage'])} frames") and "episode" in error

@@ -10,8 +10,8 @@ from dpmacro.boosting.learners.kinds import classifier_from, classifier_tensors
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting
 from dpmacro.boosting.losses.classes import class_targets
+from dpmacro.features.encoders.pixels import Pixels
 from dpmacro.features.levels import SortedLevels
-from dpmacro.features.pixels import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.switching.training import SwitchSettings, fit_switches
 
@@ -44,7 +44,7 @@ def convnets(images, device="cpu", **options):
 
 def stumps(images):
     previous = images[(torch.arange(len(images)) - 1).clamp(min=0)]
-    values = Pixels.all(SIDE, SIDE).values(images, previous)
+    values = Pixels.all("image", SIDE, SIDE).values({0: {"image": images}, 1: {"image": previous}})
     return StumpLearner(SortedLevels.build(Quantiser.fit(values).levels(values)))
 
 
