@@ -203,7 +203,7 @@ def _table(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, pd.DataFra
     vectors = (np.stack(table[key].to_numpy()).astype(np.float32) for key in (state, "action"))
     episodes = table["episode_index"].to_numpy().ravel()
     lengths = np.unique(episodes, return_counts=True)[1].astype(np.int64)
-    return *vectors, lengths, table  # type: ignore[return-value]
+    return *vectors, lengths, table
 
 
 def _with_moves(state: np.ndarray, lengths: np.ndarray) -> np.ndarray:

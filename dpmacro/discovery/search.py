@@ -58,14 +58,15 @@ def discover(
     """
     paper = settings.criterion == "loss"
     tasks = [task] if settings.starts == "random" else _smaller(task)
-    search, shares = _alternated, restarts
     if task.actions.ndim == 2 and settings.starts != "random":
-        search, shares = _raced, -(-restarts // SIZES)
-    if search is _raced:
-        tasks = _some(tasks)
-    parts = [
-        search(data, one, settings, restarts if one is task else shares, shrinkage, on_round) for one in tasks
-    ]
+        parts = [
+            _raced(
+                data, one, settings, restarts if one is task else -(-restarts // SIZES), shrinkage, on_round
+            )
+            for one in _some(tasks)
+        ]
+    else:
+        parts = [_alternated(data, one, settings, restarts, shrinkage, on_round) for one in tasks]
     alternated = pooled(parts)
     if paper:
         least = alternated.labels[alternated.loss[-1].argmin()]
