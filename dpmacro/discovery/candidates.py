@@ -23,7 +23,7 @@ from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.marginals import costs_without, margins
 from dpmacro.segmentation.segments import transition_counts
 from dpmacro.switching.functions import SwitchFunctions, causal_labels
-from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.switching.training import SWITCH_FOLDS, SwitchSettings, fit_switches
 
 __all__ = [
     "Candidate",
@@ -40,6 +40,7 @@ LEADERS = 4  # and so many whose training loss is least
 SWITCH_ROUNDS = 30
 SWITCH_COLUMNS = 512
 SCREENING_COLUMNS = 128
+SCREENING_FOLDS = 2  # of vectors, whose free order has a switch function for many pairs
 CHARGE_LIMIT = 1.0  # at which charges are cut off: a margin of classes, two deviations of vectors
 TOLERANCE = 5  # frames, of vectors
 REACH = 5  # frames on either side of one that do not vote on its label
@@ -176,16 +177,17 @@ def _finalists(
     """The numbers of the candidates that go on to the dearer test; all where they are few."""
     if len(candidates) <= FINALISTS + LEADERS:
         return list(range(len(candidates)))
+    screening = SCREENING_FOLDS if task.actions.ndim == 2 else SWITCH_FOLDS
     shares = []
     for number, labels in enumerate(candidates, 1):
-        shares.append(_switches(data, task, labels, SCREENING_COLUMNS).mean_recognised)
+        shares.append(_switches(data, task, labels, SCREENING_COLUMNS, screening).mean_recognised)
         on_round(Round("recognise", number, len(candidates), 1 - shares[-1], shares[-1], None))
     recognised = sorted(range(len(candidates)), key=lambda k: -shares[k])
     return list(dict.fromkeys([*recognised[:FINALISTS], *range(LEADERS)]))
 
 
 def _switches(
-    data: SortedLevels, task: Task, labels: Int64[Tensor, " frames"], columns: int
+    data: SortedLevels, task: Task, labels: Int64[Tensor, " frames"], columns: int, folds: int = SWITCH_FOLDS
 ) -> SwitchFunctions:
     """Quick switch functions of a candidate, `columns` random columns searched a round, without cues.
 
@@ -194,7 +196,7 @@ def _switches(
     """
     generator = torch.Generator().manual_seed(task.seed)
     learner = StumpLearner(data, drawn=columns)
-    settings = SwitchSettings(rounds=SWITCH_ROUNDS, tolerance=task.tolerance)
+    settings = SwitchSettings(rounds=SWITCH_ROUNDS, folds=folds, tolerance=task.tolerance)
     return fit_switches(learner, labels, task.lengths, generator, settings, groups=task.groups)
 
 
