@@ -88,9 +88,10 @@ def raced(
     """Where the best of many short alternations ended, distinct ones.
 
     They begin at `restarts` starts of all kinds, and where the linear alternation ended with least loss from
-    those, half as many. One in `SURVIVING` of the restarts survives; a share `SEEDED` of them are the outcomes
-    of least loss of the linear alternation as they are, which a race of few rounds may misjudge. Of more than `FRAMES` frames the race is
-    on whole trajectories drawn at random, and fewer survive; classifiers of each label the rest.
+    those, half as many. One in `SURVIVING` of the restarts survives; a share `SEEDED` of them are the
+    outcomes of least loss of the linear alternation as they are, which a race of few rounds may misjudge. Of
+    more than `FRAMES` frames the race is on whole trajectories drawn at random, and fewer survive;
+    classifiers of each label the rest.
     """
     generator = torch.Generator().manual_seed(task.seed)
     field = _field(data, task, generator)
