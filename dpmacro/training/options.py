@@ -51,6 +51,8 @@ class DatasetOptions:
     """Whether the world and its mirror image are alike; by default as meta/dpmacro.json says, else false."""
 
     def __post_init__(self) -> None:
+        # A file of options or the command line may give a truth value, which comes here as True.
+        object.__setattr__(self, "action_relative", self.action_relative.lower())
         if self.action_relative not in RELATIVE:
             raise ValueError(
                 f"dataset.action_relative is {self.action_relative!r}: choose one of {', '.join(RELATIVE)}"
