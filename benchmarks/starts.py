@@ -32,6 +32,7 @@ from dpmacro.estimator.arguments import Standardiser
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics import segmentation_scores
+from dpmacro.segmentation.segments import transition_counts
 from dpmacro.utils import cli
 
 NOTES = """\
@@ -52,7 +53,7 @@ class StartOptions:
     """What to measure."""
 
     sources: list[str] = field(default_factory=lambda: list(CASES))
-    """Data to cut, out of tabletop, tabletop_phases, cr5 and mocap6; or files (.npz)."""
+    """Data to cut, out of tabletop, tabletop_phases, cr5 and mocap6; or folders of Meta-World's."""
     seeds: list[int] = field(default_factory=lambda: [0, 1, 2, 3, 4])
     """Seeds of all draws, and of the made scene."""
     starts: int = 6
@@ -69,7 +70,7 @@ class StartOptions:
     def __post_init__(self) -> None:
         for value in self.sources:
             if value not in CASES and not Path(value).exists():
-                raise ValueError(f"sources has {value!r}: choose from {', '.join(CASES)}, or give a file")
+                raise ValueError(f"sources has {value!r}: choose from {', '.join(CASES)}, or give a folder")
         if self.starts < 1:
             raise ValueError(f"starts is {self.starts}: give 1 or more")
 
@@ -157,18 +158,18 @@ def cases(source: str, seed: int, folder: Path) -> Iterator[Case]:
     elif source == "mocap6":
         found = _mocap(folder / "mocap6")
     else:
-        stored = np.load(source)
-        found = _with_moves(stored["s"], stored["L"]), stored["a"], stored["L"], stored["t"]
+        state, action, sizes, table = _table(Path(source))
+        stage = np.unique(table["stage"].to_numpy(), return_inverse=True)[1]
+        found = _with_moves(state, sizes), action, sizes, stage
     features, actions, lengths, truth = found
     values = torch.from_numpy(np.ascontiguousarray(features.T, np.float32))
     data = SortedLevels.build(Quantiser.fit(values).levels(values))
     vectors = torch.from_numpy(actions)
     vectors = Standardiser.fit(vectors).apply(vectors)
-    sizes = torch.from_numpy(lengths)
     loss = HuberLoss(vectors.shape[1])
-    stages = int(truth.max()) + 1
-    for macros, bound, tolerance in CASES.get(source, [(stages, stages - 1, 10)]):
-        task = Task(vectors, sizes, torch.arange(len(sizes)), loss, macros, bound, seed)
+    changes = int(transition_counts(torch.from_numpy(truth), torch.from_numpy(lengths)).max())
+    for macros, bound, tolerance in CASES.get(source, [(int(truth.max()) + 1, changes, 5)]):
+        task = Task(vectors, torch.from_numpy(lengths), torch.arange(len(lengths)), loss, macros, bound, seed)
         name = f"{Path(source).stem} Q={macros} S={bound}"
         yield Case(name, data, task, truth, tolerance)
 

@@ -66,7 +66,12 @@ class Task:
         Of classes none: the next action may lead to where the change is not seen any more. Vectors change
         little from frame to frame, and so does what is seen.
         """
-        return TOLERANCE if self.actions.ndim == 2 else 0
+        return TOLERANCE if self.vectors else 0
+
+    @property
+    def vectors(self) -> bool:
+        """Whether actions are vectors."""
+        return self.actions.ndim == 2
 
     @property
     def n_groups(self) -> int:
@@ -177,7 +182,7 @@ def _finalists(
     """The numbers of the candidates that go on to the dearer test; all where they are few."""
     if len(candidates) <= FINALISTS + LEADERS:
         return list(range(len(candidates)))
-    screening = SCREENING_FOLDS if task.actions.ndim == 2 else SWITCH_FOLDS
+    screening = SCREENING_FOLDS if task.vectors else SWITCH_FOLDS
     shares = []
     for number, labels in enumerate(candidates, 1):
         shares.append(_switches(data, task, labels, SCREENING_COLUMNS, screening).mean_recognised)

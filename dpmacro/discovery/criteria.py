@@ -101,14 +101,22 @@ def equally_good(losses: Sequence[Float[Tensor, " parts"]]) -> list[int]:
     ]
 
 
-def best_candidate(candidates: Sequence[CandidateScores]) -> int:
+def best_candidate(candidates: Sequence[CandidateScores], explaining: bool = False) -> int:
     """The number of the candidate to keep.
 
     Of those that can be run and do equally well by their causal loss, the one whose changes are recognised
     best, of those the one of least causal loss. Where none can be run, the one of least loss in hindsight.
+
+    `explaining` asks first how well labels explain left-out actions, by the loss of those that the frames
+    around tell: only candidates that do equally well by it come into question. (Where actions are vectors any
+    two halves of a task differ a little, and the change between them that is seen best need not be one of
+    those that explain most.)
     """
-    runnable = [place for place, scores in enumerate(candidates) if scores.runnable]
+    places = list(range(len(candidates)))
+    if explaining:
+        places = equally_good([one.context for one in candidates])
+    runnable = [place for place in places if candidates[place].runnable]
     if not runnable:
-        return min(range(len(candidates)), key=lambda place: float(candidates[place].hindsight.sum()))
+        return min(places, key=lambda place: float(candidates[place].hindsight.sum()))
     close = [runnable[k] for k in equally_good([candidates[place].causal for place in runnable])]
     return max(close, key=lambda k: (candidates[k].recognised, -float(candidates[k].causal.sum())))

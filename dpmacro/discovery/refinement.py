@@ -73,12 +73,12 @@ def simplified(
     """
     scored = list(scored)
     while True:
-        best = best_candidate([one.scores for one in scored])
+        best = best_candidate([one.scores for one in scored], task.vectors)
         simpler = _unknown(merged(scored[best].labels), scored)
         if not simpler:
             return scored
         scored += score_candidates(data, task, torch.stack(simpler), on_round)
-        if best_candidate([one.scores for one in scored]) == best:
+        if best_candidate([one.scores for one in scored], task.vectors) == best:
             return scored
 
 

@@ -72,7 +72,9 @@ def discover(
         least = alternated.labels[alternated.loss[-1].argmin()]
         return Discovery(task, alternated, tuple(score_candidates(data, task, least[None], on_round)), 0)
     candidates = _scored(data, task, alternated, settings, restarts, on_round)
-    return Discovery(task, alternated, tuple(candidates), best_candidate([one.scores for one in candidates]))
+    return Discovery(
+        task, alternated, tuple(candidates), best_candidate([one.scores for one in candidates], task.vectors)
+    )
 
 
 def adopt(

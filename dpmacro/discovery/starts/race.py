@@ -28,8 +28,7 @@ __all__ = ["boosted", "boosted_in_turn", "raced"]
 
 RACE = SearchSettings(rounds=20, warmup=10, drawn=24)
 STEP = 0.5  # shrinkage of the race
-SURVIVING = 5  # restarts for one that goes on
-SEEDED = 1 / 3  # of them are outcomes of the linear alternation
+SURVIVING = 5  # restarts for every segmentation that goes on
 TABLE = 2**24  # scores that stand in memory together
 FRAMES = 30_000  # that are raced on; of more, whole trajectories are drawn
 CHUNK = 2**14  # frames scored at a time
@@ -85,13 +84,12 @@ def raced(
     restarts: int,
     on_round: Callable[[Round], None] = lambda _: None,
 ) -> Int64[Tensor, "survivors frames"]:
-    """Where the best of many short alternations ended, distinct ones.
+    """Where the best of many short alternations ended and where they began, distinct ones, the best first.
 
     They begin at `restarts` starts of all kinds, and where the linear alternation ended with least loss from
-    those, half as many. One in `SURVIVING` of the restarts survives; a share `SEEDED` of them are the
-    outcomes of least loss of the linear alternation as they are, which a race of few rounds may misjudge. Of
-    more than `FRAMES` frames the race is on whole trajectories drawn at random, and fewer survive;
-    classifiers of each label the rest.
+    those, half as many. The race may lead a start on or astray, so of the winners both ends go on, one for
+    every `SURVIVING` restarts. Of more than `FRAMES` frames the race is on whole trajectories drawn at
+    random, and fewer survive; classifiers of each label the rest.
     """
     generator = torch.Generator().manual_seed(task.seed)
     field = _field(data, task, generator)
@@ -101,14 +99,13 @@ def raced(
     starts = torch.cat(list(kinds.values()))
     linear = linear_alternation(evidence, starts, moments)
     ended = linear.labels[linear.loss.argsort()]
-    ended = ended[distinct(ended)][: restarts // 2]
-    entrants = torch.cat([starts, ended])
-    found = boosted_in_turn(field.data, field.task, entrants[distinct(entrants)], RACE, STEP, on_round)
-    ordered = found.labels[found.loss[-1].argsort()]
+    entrants = torch.cat([starts, ended[distinct(ended)][: restarts // 2]])
+    entrants = entrants[distinct(entrants)]
+    found = boosted_in_turn(field.data, field.task, entrants, RACE, STEP, on_round)
+    order = found.loss[-1].argsort()
+    both = torch.stack([found.labels[order], entrants[order]], 1).flatten(0, 1)
     share = SURVIVING if field.whole else SURVIVING * -(-data.n_frames // FRAMES)
-    count = max(restarts // share, 1)
-    n_linear = int(count * SEEDED)
-    survivors = torch.cat([ordered[distinct(ordered)][: count - n_linear], ended[:n_linear]])
+    survivors = both[distinct(both)][: max(restarts // share, 1)]
     if field.whole:
         return survivors
     return torch.stack([_extended(data, task, field, labels) for labels in survivors])
