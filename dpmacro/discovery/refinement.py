@@ -8,7 +8,13 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from dpmacro.boosting.loop import Round
-from dpmacro.discovery.candidates import Candidate, Task, action_charges, score_candidates
+from dpmacro.discovery.candidates import (
+    Candidate,
+    Task,
+    action_charges,
+    left_out_charges,
+    score_candidates,
+)
 from dpmacro.discovery.criteria import best_candidate
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
@@ -17,6 +23,7 @@ from dpmacro.switching.costs import change_log_odds, charges_of
 __all__ = ["merged", "recut", "resegmented", "simplified"]
 
 SWEEPS = 3  # in which switch functions cut
+MERGED = 6  # segmentations with two macro-actions made one that are scored at a time: all of up to four
 REFINED = 4  # candidates anew in each
 COST_LIMIT = 3.0  # at which the charges of actions are cut off, likewise later than for selection
 
@@ -74,12 +81,30 @@ def simplified(
     scored = list(scored)
     while True:
         best = best_candidate([one.scores for one in scored], task.vectors)
-        simpler = _unknown(merged(scored[best].labels), scored)
+        simpler = _unknown(_cheapest(merged(scored[best].labels), scored[best], task), scored)
         if not simpler:
             return scored
         scored += score_candidates(data, task, torch.stack(simpler), on_round)
         if best_candidate([one.scores for one in scored], task.vectors) == best:
             return scored
+
+
+def _cheapest(
+    labellings: Sequence[Int64[Tensor, " frames"]], candidate: Candidate, task: Task
+) -> list[Int64[Tensor, " frames"]]:
+    """The merged segmentations that lose least where either of the two macro-actions serves for both.
+
+    `MERGED` of them at most: of many macro-actions there are too many pairs to score all.
+    """
+    if len(labellings) <= MERGED:
+        return list(labellings)
+    charges = left_out_charges(candidate, task)
+    lost = []
+    for labels in labellings:
+        of_macro = torch.stack([charges[labels == macro].sum(0) for macro in labels.unique().tolist()])
+        lost.append(float(of_macro.amin(1).sum()))
+    order = sorted(range(len(lost)), key=lost.__getitem__)[:MERGED]
+    return [labellings[place] for place in order]
 
 
 def merged(labels: Int64[Tensor, " frames"]) -> list[Int64[Tensor, " frames"]]:

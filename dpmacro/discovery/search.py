@@ -33,6 +33,7 @@ from dpmacro.features.levels import SortedLevels
 
 __all__ = ["adopt", "discover"]
 
+EVERY = 4  # macro-actions up to which every number of them is searched
 PEAKS = 2  # candidates a restart cut at feature peaks, of classes and with two macro-actions; else fewer
 VECTOR_SHRINKAGE = 0.3  # of the alternation, at least
 SIZES = 4  # numbers of macro-actions that are searched for vectors, the whole among them
@@ -169,12 +170,15 @@ def _scored(
 
 
 def _smaller(task: Task) -> list[Task]:
-    """The task with 2, 3, ... macro-actions and so many transitions as they need, up to the whole."""
+    """The task with 2, 3, ... macro-actions and so many transitions as they need, up to the whole.
+
+    Of more than `EVERY` macro-actions a few numbers below serve for all.
+    """
     if task.order == "chain":
         return [task]
     bound = task.max_transitions
-    fewer = [replace(task, macros=n, max_transitions=min(n - 1, bound)) for n in range(2, task.macros)]
-    return [*fewer, task]
+    sizes = range(2, task.macros) if task.macros <= EVERY else sorted({2, EVERY, (task.macros + 1) // 2})
+    return [*(replace(task, macros=n, max_transitions=min(n - 1, bound)) for n in sizes), task]
 
 
 def _some(tasks: list[Task]) -> list[Task]:

@@ -1,5 +1,7 @@
 """Candidates made of candidates: cut again, and with fewer macro-actions."""
 
+from dataclasses import replace
+
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -8,7 +10,7 @@ from visible import functions_of, task_of, visible_change
 from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.discovery.candidates import Candidate, Task, action_charges, score_candidates
 from dpmacro.discovery.criteria import CandidateScores, best_candidate
-from dpmacro.discovery.refinement import COST_LIMIT, merged, recut, resegmented, simplified
+from dpmacro.discovery.refinement import COST_LIMIT, MERGED, _cheapest, merged, recut, resegmented, simplified
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 from dpmacro.segmentation.segments import macro_segments, transition_counts
@@ -154,3 +156,23 @@ def test_a_few_misplaced_changes_are_corrected_by_what_was_learned_from_the_othe
     assert int((alone != truth).sum()) > 40
     assert torch.equal(found[misplaced], truth[misplaced])
     assert int((found != truth).sum()) <= 5
+
+
+def test_of_many_macro_actions_those_are_merged_first_that_do_alike():
+    """Macro-actions 1 and 3 have the same classifier: making them one loses nothing."""
+    labels = torch.arange(5).repeat_interleave(8).repeat(4)
+    generator = torch.Generator().manual_seed(2)
+    left_out = torch.randn(len(labels), 5, 2, generator=generator)
+    candidate, task = made_up(labels, [40] * 4, 5, left_out=left_out)
+    right = torch.nn.functional.one_hot(task.actions, 2) * 4.0 - 2
+    own = torch.nn.functional.one_hot(labels, 5)[:, :, None] * right[:, None]
+    left_out = own - (1 - torch.nn.functional.one_hot(labels, 5)[:, :, None]) * right[:, None]
+    alike = (labels == 1) | (labels == 3)
+    left_out[alike, 1] = left_out[alike, 3] = right[alike]
+    candidate = replace(candidate, left_out=left_out)
+    kept = _cheapest(merged(labels), candidate, task)
+    together = torch.where(labels == 3, 1, labels).unique(return_inverse=True)[1]
+    assert len(kept) == MERGED < len(merged(labels))
+    assert torch.equal(kept[0], together)
+    few = merged(labels.clamp(max=3))
+    assert _cheapest(few, candidate, task) == few, "of up to four macro-actions all are scored"

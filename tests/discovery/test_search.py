@@ -1,5 +1,7 @@
 """The search: what it proposes, what it keeps, in both recipes."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from visible import task_of, visible_change
@@ -111,3 +113,13 @@ def test_a_known_segmentation_is_scored_in_place_of_a_search(toy):
 def test_bad_settings_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         SearchSettings(**options)
+
+
+@pytest.mark.parametrize(
+    ("macros", "sizes"), [(2, [2]), (3, [2, 3]), (4, [2, 3, 4]), (5, [2, 3, 4, 5]), (12, [2, 4, 6, 12])]
+)
+def test_of_many_macro_actions_a_few_smaller_numbers_are_searched(macros, sizes):
+    actions = torch.arange(24) % 2
+    task = replace(task_of(actions, torch.tensor([24])), macros=macros, max_transitions=20)
+    assert [one.macros for one in search._smaller(task)] == sizes
+    assert all(one.max_transitions == min(one.macros - 1, 20) for one in search._smaller(task)[:-1])
