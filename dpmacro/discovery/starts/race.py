@@ -30,7 +30,7 @@ RACE = SearchSettings(rounds=20, warmup=10, drawn=24)
 STEP = 0.5  # shrinkage of the race
 SURVIVING = 5  # restarts for every segmentation that goes on
 TABLE = 2**24  # scores that stand in memory together
-FRAMES = 30_000  # that are raced on; of more, whole trajectories are drawn
+CELLS = 2**20  # scores of a start that is raced, and residuals' weights; of more frames some are drawn
 CHUNK = 2**14  # frames scored at a time
 
 
@@ -88,7 +88,7 @@ def raced(
 
     They begin at `restarts` starts of all kinds, and where the linear alternation ended with least loss from
     those, half as many. The race may lead a start on or astray, so of the winners both ends go on, one for
-    every `SURVIVING` restarts. Of more than `FRAMES` frames the race is on whole trajectories drawn at
+    every `SURVIVING` restarts. Where there are many frames the race is on whole trajectories drawn at
     random, and fewer survive; classifiers of each label the rest.
     """
     generator = torch.Generator().manual_seed(task.seed)
@@ -104,19 +104,25 @@ def raced(
     found = boosted_in_turn(field.data, field.task, entrants, RACE, STEP, on_round)
     order = found.loss[-1].argsort()
     both = torch.stack([found.labels[order], entrants[order]], 1).flatten(0, 1)
-    share = SURVIVING if field.whole else SURVIVING * -(-data.n_frames // FRAMES)
+    share = SURVIVING if field.whole else SURVIVING * -(-data.n_frames // _most(task))
     survivors = both[distinct(both)][: max(restarts // share, 1)]
     if field.whole:
         return survivors
     return torch.stack([_extended(data, task, field, labels) for labels in survivors])
 
 
+def _most(task: Task) -> int:
+    """Frames that a race is run on."""
+    return max(CELLS // (task.macros * (task.actions.shape[1] + 1)), 1)
+
+
 def _field(data: SortedLevels, task: Task, generator: torch.Generator) -> Field:
-    """All trajectories, or random ones that have `FRAMES` frames, or as few more as whole ones have."""
-    if data.n_frames <= FRAMES:
+    """All trajectories, or random ones until they have `_most` frames, the last one whole."""
+    most = _most(task)
+    if data.n_frames <= most:
         return Field(data, task, True)
     order = torch.randperm(len(task.lengths), generator=generator)
-    count = int((task.lengths[order].cumsum(0) < FRAMES).sum()) + 1
+    count = int((task.lengths[order].cumsum(0) < most).sum()) + 1
     drawn = torch.zeros(len(task.lengths), dtype=torch.bool)
     drawn[order[:count]] = True
     if bool(drawn.all()):
