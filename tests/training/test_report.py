@@ -61,10 +61,10 @@ def test_the_whole_report_has_those_lines(hidden):
     plan = SimpleNamespace(columns=6, of=6, drawn=0, gibibytes=0.7)
     policy = SimpleNamespace(config=SimpleNamespace(macros=2))
     unsettled = replace(hidden, unsettled=3)
-    result = SimpleNamespace(
-        found=unsettled, plan=plan, policy=policy, pretrained=Path("run/pretrained_model"), choice=None
-    )
-    lines = train.report(result, RunFolder(Path("nowhere")), 1.0).splitlines()
+    parts = {"plan": plan, "policy": policy, "pretrained": Path("run/pretrained_model"), "choice": None}
+    result = SimpleNamespace(found=unsettled, notes=("one thing", "another"), **parts)
+    data, more, *lines = train.report(result, RunFolder(Path("nowhere")), 1.0).splitlines()
+    assert [data, more] == ["data         one thing", "             another"]
     for line in said(unsettled):
         assert line in lines
     assert [line.split()[0] for line in lines[:3]] == ["objective", "macro", "macro"]
