@@ -17,15 +17,14 @@ from torch import Tensor
 
 from dpmacro.boosting.losses.vectors import HuberLoss
 from dpmacro.discovery.candidates import Task
+from dpmacro.discovery.race import boosted_in_turn, raced
 from dpmacro.discovery.search import VECTOR_SHRINKAGE, discover
 from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import (
     KINDS,
     Moments,
-    boosted_in_turn,
     evidence_of,
     linear_alternation,
-    raced,
     vector_starts,
 )
 from dpmacro.estimator.arguments import Standardiser

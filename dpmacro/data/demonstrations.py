@@ -32,7 +32,7 @@ class Demonstrations:
         action_names: M names of classes, or one per dimension; numbers as text where the dataset names none.
         fps: frames per second, as stored.
         truth: the true macro-label, for metrics only, 0..K-1; None where the data has none.
-        world: {"id": "TwoFlags-v0", **options} of the world recorded from; {} where the data does not say.
+        world: {"id": its gymnasium id, **options} of the world recorded from; {} where the data does not say.
         root: the dataset's folder.
         truth_name: the column that `truth` comes from, "phase" or "subgoal" say; None without truth.
         truth_classes: names of the true labels 0..K-1; the numbers as text where the data names none.

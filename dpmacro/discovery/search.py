@@ -16,17 +16,15 @@ from dpmacro.boosting.loop import Round
 from dpmacro.discovery.alternation import Alternated, pooled
 from dpmacro.discovery.candidates import Candidate, Task, distinct, score_candidates
 from dpmacro.discovery.criteria import best_candidate
+from dpmacro.discovery.race import boosted, boosted_in_turn, raced
 from dpmacro.discovery.refinement import recut, simplified
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import (
     action_events,
-    boosted,
-    boosted_in_turn,
     chained,
     feature_peaks,
     initial_segmentations,
-    raced,
     random_cuts,
 )
 from dpmacro.features.levels import SortedLevels
@@ -36,7 +34,7 @@ __all__ = ["adopt", "discover"]
 EVERY = 4  # macro-actions up to which every number of them is searched
 PEAKS = 2  # candidates a restart cut at feature peaks, of classes and with two macro-actions; else fewer
 VECTOR_SHRINKAGE = 0.3  # of the alternation, at least
-SIZES = 4  # numbers of macro-actions that are searched for vectors, the whole among them
+SHARE = 4  # of the restarts, for numbers of macro-actions below Q where actions are vectors: one in so many
 
 
 def discover(
@@ -59,12 +57,12 @@ def discover(
     """
     paper = settings.criterion == "loss"
     tasks = [task] if settings.starts == "random" else _smaller(task)
-    if task.actions.ndim == 2 and settings.starts != "random":
+    if task.vectors and settings.starts != "random":
         parts = [
             _raced(
-                data, one, settings, restarts if one is task else -(-restarts // SIZES), shrinkage, on_round
+                data, one, settings, restarts if one is task else -(-restarts // SHARE), shrinkage, on_round
             )
-            for one in _some(tasks)
+            for one in tasks
         ]
     else:
         parts = [_alternated(data, one, settings, restarts, shrinkage, on_round) for one in tasks]
@@ -144,7 +142,7 @@ def _scored(
     generator = torch.Generator().manual_seed(task.seed)
     bounds = task.macros, task.max_transitions
     events, n_peaks = alternated.labels[:0], restarts // 2
-    if task.actions.ndim == 1:
+    if not task.vectors:
         events = action_events(task.actions, task.lengths, restarts // 4, *bounds, generator)
         n_peaks = PEAKS * restarts
     peaks = [
@@ -179,9 +177,3 @@ def _smaller(task: Task) -> list[Task]:
     bound = task.max_transitions
     sizes = range(2, task.macros) if task.macros <= EVERY else sorted({2, EVERY, (task.macros + 1) // 2})
     return [*(replace(task, macros=n, max_transitions=min(n - 1, bound)) for n in sizes), task]
-
-
-def _some(tasks: list[Task]) -> list[Task]:
-    """So many as `SIZES` of the tasks, evenly spread and up to the last."""
-    places = torch.linspace(0, len(tasks) - 1, min(SIZES, len(tasks))).round().long().tolist()
-    return [tasks[place] for place in places[:-1]] + tasks[-1:]

@@ -6,7 +6,7 @@ import starts
 from starts import StartOptions, cases
 from tabletop import tabletop
 
-from dpmacro.discovery.starts.race import RACE
+from dpmacro.discovery.race import RACE
 from dpmacro.utils.checks import as_lengths
 
 

@@ -6,20 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpmacro.boosting.losses.vectors import HuberLoss
+from dpmacro.discovery import race
 from dpmacro.discovery.candidates import Task
+from dpmacro.discovery.race import boosted, boosted_in_turn, raced
 from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import (
     KINDS,
     Evidence,
     Moments,
-    boosted,
-    boosted_in_turn,
     chained,
     evidence_of,
     feature_peaks,
     linear_alternation,
-    race,
-    raced,
     vector_starts,
 )
 from dpmacro.discovery.starts.clusters import merged_pieces, spectral_windows, window_clusters

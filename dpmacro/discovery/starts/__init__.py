@@ -5,7 +5,6 @@ from dpmacro.discovery.starts.classes import action_events, initial_segmentation
 from dpmacro.discovery.starts.cuts import feature_peaks, random_cuts, uniform_cuts
 from dpmacro.discovery.starts.evidence import Evidence
 from dpmacro.discovery.starts.linear import Moments, linear_alternation
-from dpmacro.discovery.starts.race import boosted, boosted_in_turn, raced
 from dpmacro.discovery.starts.vectors import KINDS, evidence_of, vector_starts
 
 __all__ = [
@@ -13,14 +12,11 @@ __all__ = [
     "Evidence",
     "Moments",
     "action_events",
-    "boosted",
-    "boosted_in_turn",
     "chained",
     "evidence_of",
     "feature_peaks",
     "initial_segmentations",
     "linear_alternation",
-    "raced",
     "random_cuts",
     "uniform_cuts",
     "vector_starts",

@@ -2,31 +2,26 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int32, Int64
+from jaxtyping import Float, Int32, Int64
 from torch import Tensor
 
-from dpmacro.features.base import CHUNK_FRAMES, Seen, frames_last, input_name, look
+from dpmacro.features.base import CHUNK_FRAMES, Seen, frames_last, input_name
+from dpmacro.features.encoders.camera import CameraEncoder
 
 __all__ = ["Pixels"]
 
 
 @dataclass(frozen=True)
-class Pixels:
+class Pixels(CameraEncoder):
     """The paper's features (Section V): RGB of the image, and its difference to the previous image.
 
     Place (channel * height + y) * width + x with channels R, G, B, dR, dG, dB: 18,432 of them at 64x48.
     """
 
-    camera: str
-    height: int
-    width: int
     places: Int64[Tensor, " columns"]
     kind = "pixels"
-    dtype = torch.int32
-    lags = (0, 1)
 
     @classmethod
     def all(cls, camera: str, height: int, width: int) -> "Pixels":
@@ -38,24 +33,9 @@ class Pixels:
         """The number of columns."""
         return len(self.places)
 
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """The camera's."""
-        return (self.camera,)
-
-    @property
-    def needs(self) -> dict[str, tuple[int, ...]]:
-        """The image and the one before it."""
-        return {self.camera: self.lags}
-
-    @property
-    def sees_pixels(self) -> Bool[Tensor, " columns"]:
-        """All do."""
-        return torch.ones(self.count, dtype=torch.bool, device=self.places.device)
-
     def values(self, seen: Seen) -> Int32[Tensor, "columns frames"]:
         """0..255 for a colour, -255..255 for a difference."""
-        images, previous = (look(seen, lag, self.camera, (self.height, self.width, 3)) for lag in self.lags)
+        images, previous = self.looked_at(seen)
         rows = self._rows.to(images.device)
         result = torch.empty(self.count, len(images), dtype=torch.int32, device=images.device)
         for start in range(0, len(images), CHUNK_FRAMES):
@@ -84,10 +64,6 @@ class Pixels:
             y, x = divmod(place % plane, self.width)
             result.append(f"pixel in {camera}: {channels[place // plane]} at ({x}, {y})")
         return result
-
-    def spec(self) -> dict[str, Any]:
-        """The camera and the size of its images."""
-        return {"kind": self.kind, "camera": self.camera, "height": self.height, "width": self.width}
 
     def tensors(self) -> dict[str, Tensor]:
         """The places of the columns."""

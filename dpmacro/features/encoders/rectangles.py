@@ -3,13 +3,13 @@
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int32, Int64
+from jaxtyping import Float, Int32, Int64
 from torch import Tensor
 
-from dpmacro.features.base import CHUNK_FRAMES, Seen, frames_last, input_name, look
+from dpmacro.features.base import CHUNK_FRAMES, Seen, frames_last, input_name
+from dpmacro.features.encoders.camera import CameraEncoder
 
 __all__ = ["Rectangles"]
 
@@ -30,7 +30,7 @@ CHANNELS = torch.tensor(
 
 
 @dataclass(frozen=True)
-class Rectangles:
+class Rectangles(CameraEncoder):
     """Sums over seeded random rectangles of one channel, half of the columns differences of two.
 
     The channels are R, G, B, their differences to the previous image, and two opponent colours, R - G and
@@ -40,14 +40,9 @@ class Rectangles:
     Boxes are channel, top, left, height, width; the second box of a plain sum has no area.
     """
 
-    camera: str
-    height: int
-    width: int
     first: Int32[Tensor, "columns 5"]
     second: Int32[Tensor, "columns 5"]
     kind = "rectangles"
-    dtype = torch.int32
-    lags = (0, 1)
 
     @classmethod
     def draw(
@@ -77,24 +72,9 @@ class Rectangles:
         """The number of columns."""
         return len(self.first)
 
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """The camera's."""
-        return (self.camera,)
-
-    @property
-    def needs(self) -> dict[str, tuple[int, ...]]:
-        """The image and the one before it."""
-        return {self.camera: self.lags}
-
-    @property
-    def sees_pixels(self) -> Bool[Tensor, " columns"]:
-        """All do."""
-        return torch.ones(self.count, dtype=torch.bool, device=self.first.device)
-
     def values(self, seen: Seen) -> Int32[Tensor, "columns frames"]:
         """Sums over the pixels of one rectangle, or of one minus another."""
-        images, previous = (look(seen, lag, self.camera, (self.height, self.width, 3)) for lag in self.lags)
+        images, previous = self.looked_at(seen)
         rows, factors, starts = (part.to(images.device) for part in self._corners)
         result = torch.empty(self.count, len(images), dtype=torch.int32, device=images.device)
         for start in range(0, len(images), CHUNK_FRAMES):
@@ -134,10 +114,6 @@ class Rectangles:
             name = f"rectangle in {camera}: {CHANNEL_NAMES[channel]} of {wide}x{tall} at ({left}, {top})"
             result.append(f"{name} minus at ({other[2]}, {other[1]})" if other[3] * other[4] else name)
         return result
-
-    def spec(self) -> dict[str, Any]:
-        """The camera and the size of its images."""
-        return {"kind": self.kind, "camera": self.camera, "height": self.height, "width": self.width}
 
     def tensors(self) -> dict[str, Tensor]:
         """The boxes of the columns."""
