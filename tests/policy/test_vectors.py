@@ -119,16 +119,20 @@ def test_a_run_sees_what_the_recording_shows_and_acts_in_the_units_of_the_datase
 def test_rows_of_a_batch_begin_anew_on_their_own():
     policy, seen = vector_policy("all")
     order = torch.arange(FRAMES)
-    state = policy.initial_state(2)
+    state, second = policy.initial_state(2), []
     for n in range(20):
         if n == 8:
             state = policy.restart(state, torch.tensor([False, True]))
         rows = torch.stack([order[n], order[n - 8 if n >= 8 else n]])
         actions, state = policy.act({key: values[rows] for key, values in seen.items()}, state)
+        second.append((actions[1], [values[1:] for one in state.seen.values() for values in one.values()]))
     alone = policy.initial_state(1)
     for n in range(12):
         single, alone = policy.act({key: values[n : n + 1] for key, values in seen.items()}, alone)
-    torch.testing.assert_close(actions[1], single[0])
+        acted, looked_at = second[8 + n]
+        torch.testing.assert_close(acted, single[0])
+        own = [values for one in alone.seen.values() for values in one.values()]
+        assert all(torch.equal(ours, theirs) for ours, theirs in zip(looked_at, own, strict=True))
 
 
 def test_a_world_may_use_gymnasiums_keys_as_lerobot_does():

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dpmacro.segmentation.segments import macro_segments
@@ -68,6 +68,8 @@ def test_no_other_threshold_serves_more(parts):
 
 
 @settings(deadline=None)
+@example([([0, 0], [0, 5])], 1)  # late
+@example([([0, 0, 5], [0])], 1)  # early
 @given(PARTS, st.integers(0, 4))
 def test_a_change_within_the_tolerance_is_in_time(parts, tolerance):
     def served(at):
