@@ -13,13 +13,31 @@ from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.features.levels import SortedLevels
 
-__all__ = ["CLASSIFIER_FOLDS", "LeftOutScores", "left_out_scores"]
+__all__ = ["CLASSIFIER_FOLDS", "LeftOutScores", "Pace", "left_out_scores", "pace_of"]
 
 CLASSIFIER_FOLDS = 4
-SHARED_ROUNDS = 60  # that a candidate's macro-actions share
-OWN_ROUNDS = 40  # of each after those
-COLUMNS = 128  # random columns searched a round
-SHRINKAGE = 0.2
+TABLE = 2**27  # scores of candidates that grow side by side
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How far the classifiers of candidates are grown."""
+
+    shared: int  # rounds that a candidate's macro-actions share
+    own: int  # rounds of each after those
+    shrinkage: float
+    columns: int  # random ones searched a round
+
+
+CLASSES = Pace(shared=60, own=40, shrinkage=0.2, columns=128)
+# Squared errors fall slowly. Classifiers that stop early, or have most rounds in common, cannot tell what a
+# macro-action's own model explains.
+VECTORS = Pace(shared=20, own=80, shrinkage=0.5, columns=48)
+
+
+def pace_of(actions: Num[Tensor, "frames *dims"]) -> Pace:
+    """That of classes or of vectors."""
+    return VECTORS if actions.ndim == 2 else CLASSES
 
 
 @dataclass(frozen=True)
@@ -50,12 +68,35 @@ def left_out_scores(
 
     A macro-action has a part of the frames only. If its classifier learned from those alone it would know
     less than the baseline of what all macro-actions have in common, and a segmentation would be judged by
-    that lack. So all classifiers of a fold begin as the baseline's, after its first `SHARED_ROUNDS`.
+    that lack. So all classifiers of a fold begin as the baseline's, after its first rounds (`pace_of`).
+
+    So many candidates grow at a time as `TABLE` allows, each lot with the same draws.
     """
+    room = len(actions) * CLASSIFIER_FOLDS * n_macros * max(actions[0].numel(), 1)
+    parts = [
+        _scores_of(data, actions, lengths, some, n_macros, loss, seed, groups, on_round)
+        for some in candidates.split(max(TABLE // room, 1))
+    ]
+    return LeftOutScores(torch.cat([part.macros for part in parts]), parts[0].alone)
+
+
+def _scores_of(
+    data: SortedLevels,
+    actions: Num[Tensor, "frames *dims"],
+    lengths: Int64[Tensor, " trajectories"],
+    candidates: Int64[Tensor, "candidates frames"],
+    n_macros: int,
+    loss: Loss,
+    seed: int,
+    groups: Int64[Tensor, " trajectories"] | None,
+    on_round: Callable[[Round], None],
+) -> LeftOutScores:
+    """`left_out_scores` of candidates that grow side by side."""
     generator = torch.Generator().manual_seed(seed)
     fold_of = frame_folds(lengths, CLASSIFIER_FOLDS, generator, groups)
     n_folds = int(fold_of.max()) + 1
-    learner = StumpLearner(data, drawn=COLUMNS)
+    pace = pace_of(actions)
+    learner = StumpLearner(data, drawn=pace.columns)
     kept = (fold_of[:, None] != torch.arange(n_folds)).float()
     kept = kept.to(learner.device)
     held = torch.nn.functional.one_hot(candidates, n_macros).float().transpose(0, 1).to(learner.device)
@@ -65,13 +106,13 @@ def left_out_scores(
     targets = loss.targets(actions)
     folds = torch.arange(n_folds, device=learner.device)
     forks = torch.cat([folds.repeat_interleave(n_macros).repeat(len(candidates)), folds])
-    boosting = Boosting(learner, targets, n_folds, SHRINKAGE, generator, loss=loss)
-    rounds = SHARED_ROUNDS + OWN_ROUNDS
+    boosting = Boosting(learner, targets, n_folds, pace.shrinkage, generator, loss=loss)
+    rounds = pace.shared + pace.own
     for number in range(1, rounds + 1):
-        if number == SHARED_ROUNDS + 1:
+        if number == pace.shared + 1:
             start = boosting.scores[:, forks]
-            boosting = Boosting(learner, targets, len(forks), SHRINKAGE, generator, start, loss)
-        weights = kept if number <= SHARED_ROUNDS else base
+            boosting = Boosting(learner, targets, len(forks), pace.shrinkage, generator, start, loss)
+        weights = kept if number <= pace.shared else base
         boosting.round(weights)
         lost = float((weights * boosting.losses()).sum() / weights.sum())
         known = weights[:, -n_folds:]  # of one fit, all frames but a fold

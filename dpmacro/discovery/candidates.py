@@ -40,7 +40,7 @@ LEADERS = 4  # and so many whose training loss is least
 SWITCH_ROUNDS = 30
 SWITCH_COLUMNS = 512
 SCREENING_COLUMNS = 128
-SCREENING_FOLDS = 2  # of vectors, whose free order has a switch function for many pairs
+SCREENING_FOLDS = 2
 CHARGE_LIMIT = 1.0  # at which charges are cut off: a margin of classes, two deviations of vectors
 TOLERANCE = 5  # frames, of vectors
 REACH = 5  # frames on either side of one that do not vote on its label
@@ -107,24 +107,24 @@ def score_candidates(
 ) -> list[Candidate]:
     """Scores of the finalists among candidates, which are given in the order of their training loss.
 
-    Finalists are the candidates whose changes are recognised best, by quick switch functions, and those of
-    least training loss. All get the same folds and random columns, drawn by the task's seed. `on_round` is
-    called after every candidate's quick switch functions, then after every boosting round of the finalists'
-    classifiers, which grow side by side.
+    Finalists are, of classes, the candidates whose changes are recognised best, by quick switch functions,
+    and those of least training loss; of vectors those of least loss in hindsight on left-out data. All get
+    the same folds and random columns, drawn by the task's seed. `on_round` is called after every candidate's
+    quick switch functions, then after every boosting round of classifiers, which grow side by side.
     """
-    order = _finalists(data, task, candidates, on_round)
+
+    def fit(some: Int64[Tensor, "some frames"]) -> LeftOutScores:
+        given = data, task.actions, task.lengths, some, task.macros, task.loss, task.seed, task.groups
+        return left_out_scores(*given, on_round)
+
+    if task.vectors:
+        fitted = fit(candidates)
+        order = _explaining(task, candidates, fitted)
+        fitted = LeftOutScores(fitted.macros[order], fitted.alone)
+    else:
+        order = _recognised(data, task, candidates, on_round)
+        fitted = fit(candidates[order])
     switches = [_switches(data, task, candidates[k], SWITCH_COLUMNS) for k in order]
-    fitted = left_out_scores(
-        data,
-        task.actions,
-        task.lengths,
-        candidates[order],
-        task.macros,
-        task.loss,
-        task.seed,
-        task.groups,
-        on_round,
-    )
     scale = task.loss.scale(fitted.alone, task.actions.cpu())
     return [
         Candidate(candidates[k], _scores(task, candidates[k], found, fitted, place, scale), own, scale, found)
@@ -173,7 +173,21 @@ def distinct(candidates: Int64[Tensor, "candidates frames"], similar: float = 0.
     return torch.tensor(kept)
 
 
-def _finalists(
+def _explaining(
+    task: Task, candidates: Int64[Tensor, "candidates frames"], fitted: LeftOutScores
+) -> list[int]:
+    """The numbers of the candidates of least left-out loss in hindsight; all where they are few."""
+    scale, frames = task.loss.scale(fitted.alone, task.actions.cpu()), torch.arange(len(task.actions))
+    losses = torch.stack(
+        [
+            action_charges(scores[frames, labels][:, None], task, CHARGE_LIMIT, scale).mean()
+            for scores, labels in zip(fitted.macros, candidates, strict=True)
+        ]
+    )
+    return losses.argsort()[: FINALISTS + LEADERS].sort().values.tolist()
+
+
+def _recognised(
     data: SortedLevels,
     task: Task,
     candidates: Int64[Tensor, "candidates frames"],
@@ -182,10 +196,9 @@ def _finalists(
     """The numbers of the candidates that go on to the dearer test; all where they are few."""
     if len(candidates) <= FINALISTS + LEADERS:
         return list(range(len(candidates)))
-    screening = SCREENING_FOLDS if task.vectors else SWITCH_FOLDS
     shares = []
     for number, labels in enumerate(candidates, 1):
-        shares.append(_switches(data, task, labels, SCREENING_COLUMNS, screening).mean_recognised)
+        shares.append(_switches(data, task, labels, SCREENING_COLUMNS, SCREENING_FOLDS).mean_recognised)
         on_round(Round("recognise", number, len(candidates), 1 - shares[-1], shares[-1], None))
     recognised = sorted(range(len(candidates)), key=lambda k: -shares[k])
     return list(dict.fromkeys([*recognised[:FINALISTS], *range(LEADERS)]))

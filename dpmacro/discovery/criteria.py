@@ -107,14 +107,14 @@ def best_candidate(candidates: Sequence[CandidateScores], explaining: bool = Fal
     Of those that can be run and do equally well by their causal loss, the one whose changes are recognised
     best, of those the one of least causal loss. Where none can be run, the one of least loss in hindsight.
 
-    `explaining` asks first how well labels explain left-out actions, by the loss of those that the frames
-    around tell: only candidates that do equally well by it come into question. (Where actions are vectors any
-    two halves of a task differ a little, and the change between them that is seen best need not be one of
-    those that explain most.)
+    `explaining` asks first how well labels explain left-out actions, by the loss in hindsight: only
+    candidates that do equally well by it come into question. (Where actions are vectors any two halves of a
+    task differ a little, and the change between them that is seen best need not be one of those that explain
+    most.)
     """
     places = list(range(len(candidates)))
     if explaining:
-        places = equally_good([one.context for one in candidates])
+        places = equally_good([one.hindsight for one in candidates])
     runnable = [place for place in places if candidates[place].runnable]
     if not runnable:
         return min(places, key=lambda place: float(candidates[place].hindsight.sum()))

@@ -22,7 +22,7 @@ from dpmacro.switching.costs import change_log_odds, charges_of
 
 __all__ = ["merged", "recut", "resegmented", "simplified"]
 
-SWEEPS = 3  # in which switch functions cut
+SWEEPS = 3  # in which switch functions cut, at most
 MERGED = 6  # segmentations with two macro-actions made one that are scored at a time: all of up to four
 REFINED = 4  # candidates anew in each
 COST_LIMIT = 3.0  # at which the charges of actions are cut off, likewise later than for selection
@@ -35,21 +35,31 @@ def recut(
     weight: float,
     on_round: Callable[[Round], None] = lambda _: None,
 ) -> list[Candidate]:
-    """The candidates, and the best of them cut again with the costs of their switch functions, repeatedly.
+    """The candidates, and the best of them cut again with the costs of their switch functions.
 
+    That is repeated for as long as the best of all is among the new ones, `SWEEPS` times at most.
     `weight` is how much the switch functions count beside the actions, above 0.
     """
     scored = list(scored)
     fresh = list(scored)
     for _ in range(SWEEPS):
-        fresh.sort(key=lambda one: (not one.scores.runnable, float(one.scores.causal.sum())))
+        fresh.sort(key=lambda one: _promise(one, task))
         chosen, fresh = fresh[:REFINED], fresh[REFINED:]
         again = _unknown([resegmented(one, task, weight) for one in chosen], scored)
         if not again:
             break
         found = score_candidates(data, task, torch.stack(again), on_round)
-        scored, fresh = scored + found, fresh + found
+        known, scored, fresh = len(scored), scored + found, fresh + found
+        if best_candidate([one.scores for one in scored], task.vectors) < known:
+            break
     return scored
+
+
+def _promise(candidate: Candidate, task: Task) -> tuple[bool, float]:
+    """By which candidates are ordered, the most promising first: as they are chosen, but for equals."""
+    if task.vectors:
+        return False, float(candidate.scores.hindsight.sum())
+    return not candidate.scores.runnable, float(candidate.scores.causal.sum())
 
 
 def resegmented(candidate: Candidate, task: Task, weight: float = 1.0) -> Int64[Tensor, " frames"]:

@@ -1,8 +1,9 @@
 """The search for a segmentation: the alternation from many starts, and left-out data on what it found.
 
 The objective has many local optima, so the alternation starts from many seeded initial segmentations side by
-side, on a few dozen random columns a round; those of fewer macro-actions are among them, since Q is the most
-that a segmentation may have.
+side, on a few dozen random columns a round. Q is the most macro-actions that a segmentation may have: of
+classes those of fewer are among the starts. Of vectors, where one more always explains a little more, they
+are made of the best that is found, two macro-actions made one.
 """
 
 from collections.abc import Callable
@@ -23,9 +24,11 @@ from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import (
     action_events,
     chained,
+    evidence_of,
     feature_peaks,
     initial_segmentations,
     random_cuts,
+    window_clusters,
 )
 from dpmacro.features.levels import SortedLevels
 
@@ -34,7 +37,6 @@ __all__ = ["adopt", "discover"]
 EVERY = 4  # macro-actions up to which every number of them is searched
 PEAKS = 2  # candidates a restart cut at feature peaks, of classes and with two macro-actions; else fewer
 VECTOR_SHRINKAGE = 0.3  # of the alternation, at least
-SHARE = 4  # of the restarts, for numbers of macro-actions below Q where actions are vectors: one in so many
 
 
 def discover(
@@ -55,19 +57,14 @@ def discover(
         shrinkage: factor in (0, 1] on every weak hypothesis.
         on_round: called after every boosting round.
     """
-    paper = settings.criterion == "loss"
-    tasks = [task] if settings.starts == "random" else _smaller(task)
     if task.vectors and settings.starts != "random":
-        parts = [
-            _raced(
-                data, one, settings, restarts if one is task else -(-restarts // SHARE), shrinkage, on_round
-            )
-            for one in tasks
-        ]
+        alternated = _raced(data, task, settings, restarts, shrinkage, on_round)
     else:
-        parts = [_alternated(data, one, settings, restarts, shrinkage, on_round) for one in tasks]
-    alternated = pooled(parts)
-    if paper:
+        tasks = [task] if settings.starts == "random" else _smaller(task)
+        alternated = pooled(
+            [_alternated(data, one, settings, restarts, shrinkage, on_round) for one in tasks]
+        )
+    if settings.criterion == "loss":
         least = alternated.labels[alternated.loss[-1].argmin()]
         return Discovery(task, alternated, tuple(score_candidates(data, task, least[None], on_round)), 0)
     candidates = _scored(data, task, alternated, settings, restarts, on_round)
@@ -133,17 +130,33 @@ def _scored(
     restarts: int,
     on_round: Callable[[Round], None],
 ) -> list[Candidate]:
-    """Scores of what the alternation found, of cuts by rare actions and at feature peaks as they are, of what
-    switch functions make of the best, and of the best of all with fewer macro-actions.
-
-    The alternation knows no switch functions: it drifts away from cuts that can be recognised.
+    """Scores of what the alternation found, of some starts as they are, of what switch functions make of the
+    best, and of the best of all with fewer macro-actions.
     """
     order = alternated.loss[-1].argsort()
+    others = _as_they_are(data, task, restarts)
+    if task.order == "chain":
+        others = chained(others, task.lengths, task.macros)
+    labels = torch.cat([alternated.labels[order], others])
+    scored = score_candidates(data, task, labels[distinct(labels)], on_round)
+    if settings.switch_weight > 0 and task.n_groups > 1:
+        scored = recut(scored, data, task, settings.switch_weight, on_round)
+    return scored if task.order == "chain" else simplified(scored, data, task, on_round)
+
+
+def _as_they_are(data: SortedLevels, task: Task, restarts: int) -> Int64[Tensor, "candidates frames"]:
+    """Segmentations that are candidates without an alternation, which would drift away from them.
+
+    The alternation knows no switch functions: it leaves cuts that can be recognised, by rare actions and at
+    feature peaks. Of vectors it leaves clusters of windows for whatever explains a little more.
+    """
     generator = torch.Generator().manual_seed(task.seed)
     bounds = task.macros, task.max_transitions
-    events, n_peaks = alternated.labels[:0], restarts // 2
-    if not task.vectors:
-        events = action_events(task.actions, task.lengths, restarts // 4, *bounds, generator)
+    if task.vectors:
+        evidence = evidence_of(data.levels, task, generator)
+        own, n_peaks = window_clusters(evidence, restarts // 8, generator), restarts // 4
+    else:
+        own = action_events(task.actions, task.lengths, restarts // 4, *bounds, generator)
         n_peaks = PEAKS * restarts
     peaks = [
         feature_peaks(
@@ -155,16 +168,9 @@ def _scored(
             generator,
             task.actions,
         )
-        for smaller in _smaller(task)
+        for smaller in ([task] if task.vectors else _smaller(task))
     ]
-    others = torch.cat([events, *peaks])
-    if task.order == "chain":
-        others = chained(others, task.lengths, task.macros)
-    labels = torch.cat([alternated.labels[order], others])
-    scored = score_candidates(data, task, labels[distinct(labels)], on_round)
-    if settings.switch_weight > 0 and task.n_groups > 1:
-        scored = recut(scored, data, task, settings.switch_weight, on_round)
-    return scored if task.order == "chain" else simplified(scored, data, task, on_round)
+    return torch.cat([own, *peaks])
 
 
 def _smaller(task: Task) -> list[Task]:

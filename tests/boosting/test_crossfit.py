@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dpmacro.boosting import crossfit
-from dpmacro.boosting.crossfit import CLASSIFIER_FOLDS, left_out_scores
+from dpmacro.boosting.crossfit import CLASSIFIER_FOLDS, left_out_scores, pace_of
 from dpmacro.boosting.folds import frame_folds
 from dpmacro.boosting.loop import Round
 from dpmacro.boosting.losses.classes import ExponentialLoss
@@ -16,9 +16,7 @@ SEED = 3
 
 @pytest.fixture(autouse=True)
 def few_rounds(monkeypatch):
-    monkeypatch.setattr(crossfit, "SHARED_ROUNDS", 4)
-    monkeypatch.setattr(crossfit, "OWN_ROUNDS", 8)
-    monkeypatch.setattr(crossfit, "COLUMNS", 5)
+    monkeypatch.setattr(crossfit, "CLASSES", crossfit.Pace(shared=4, own=8, shrinkage=0.2, columns=5))
 
 
 def noise(seed=0, columns=9):
@@ -87,6 +85,26 @@ def test_a_candidate_does_not_see_the_others_and_a_seed_repeats():
     both, second = scores_of(data, actions, candidates), scores_of(data, actions, candidates[1:])
     torch.testing.assert_close(both.macros[1:], second.macros)
     torch.testing.assert_close(both.alone, second.alone)
+
+
+def test_what_does_not_fit_into_memory_together_gets_the_same_scores(monkeypatch):
+    data, actions, candidates = noise()
+    together = scores_of(data, actions, candidates)
+    monkeypatch.setattr(crossfit, "TABLE", 1)
+    reports: list[Round] = []
+    apart = scores_of(data, actions, candidates, on_round=reports.append)
+    torch.testing.assert_close(apart.macros, together.macros)
+    torch.testing.assert_close(apart.alone, together.alone)
+    assert len(reports) == 12 * len(candidates)
+
+
+def test_classifiers_of_vectors_are_grown_further():
+    actions = torch.randn(6, 2)
+    assert pace_of(actions) is crossfit.VECTORS and pace_of(actions[:, 0] > 0) is crossfit.CLASSES
+    assert (
+        crossfit.VECTORS.own * crossfit.VECTORS.shrinkage
+        > 2 * crossfit.CLASSES.own * crossfit.CLASSES.shrinkage
+    )
 
 
 def test_every_round_is_reported():

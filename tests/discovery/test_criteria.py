@@ -154,9 +154,9 @@ def test_the_standard_error_of_a_sum_over_parts():
 
 
 def test_what_explains_most_comes_before_what_can_be_run_where_that_is_asked_for():
-    runs = scored(recognised=0.9, context=0.4)
-    explains = scored(recognised=0.1, context=0.2, hindsight=0.25)
-    as_well = scored(recognised=0.7, context=losses(0.2 + 0.5 * STEP, STEP), hindsight=0.3)
+    runs = scored(recognised=0.9, hindsight=0.4)
+    explains = scored(recognised=0.1, hindsight=0.2, context=0.9)
+    as_well = scored(recognised=0.7, hindsight=losses(0.2 + 0.5 * STEP, STEP))
     assert best_candidate([runs, explains]) == 0
     assert best_candidate([runs, explains], explaining=True) == 1
     assert best_candidate([runs, explains, as_well], explaining=True) == 2, "of equals, what can be run"

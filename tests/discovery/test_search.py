@@ -6,12 +6,15 @@ import pytest
 import torch
 from visible import task_of, visible_change
 
-from dpmacro.discovery import search
-from dpmacro.discovery.candidates import score_candidates
+from dpmacro.boosting.losses.vectors import HuberLoss
+from dpmacro.discovery import candidates, search
+from dpmacro.discovery.candidates import Task, score_candidates
 from dpmacro.discovery.criteria import best_candidate
 from dpmacro.discovery.search import adopt, discover
 from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import initial_segmentations, random_cuts
+from dpmacro.features.levels import SortedLevels
+from dpmacro.metrics.frames import named_after_truth
 from dpmacro.segmentation.segments import transition_counts
 
 QUICK = {"rounds": 10, "warmup": 4, "drawn": 6}
@@ -123,3 +126,31 @@ def test_of_many_macro_actions_a_few_smaller_numbers_are_searched(macros, sizes)
     task = replace(task_of(actions, torch.tensor([24])), macros=macros, max_transitions=20)
     assert [one.macros for one in search._smaller(task)] == sizes
     assert all(one.max_transitions == min(one.macros - 1, 20) for one in search._smaller(task)[:-1])
+
+
+def vectors(n=10, length=60):
+    """Three stages; in each another column decides both numbers of the action. And the true labels."""
+    generator = torch.Generator().manual_seed(1)
+    levels = torch.randint(0, 256, (6, n * length), dtype=torch.uint8, generator=generator)
+    truth = (torch.arange(length) * 3 // length).repeat(n)
+    seen = levels.float()[truth, torch.arange(n * length)] / 128 - 1
+    actions = torch.stack([seen, seen.sign() * (truth + 1)], 1)
+    lengths = torch.full((n,), length)
+    loss = HuberLoss(2)
+    return SortedLevels.build(levels), Task(actions, lengths, torch.arange(n), loss, 3, 2, seed=0), truth
+
+
+def test_of_vectors_what_explains_left_out_actions_best_goes_on_and_is_kept(monkeypatch):
+    data, task, truth = vectors()
+    monkeypatch.setattr(candidates, "FINALISTS", 1)
+    monkeypatch.setattr(candidates, "LEADERS", 1)
+    halves, shifted = (truth > 0).long(), truth.roll(9)
+    scored = score_candidates(data, task, torch.stack([halves, truth, shifted, torch.zeros_like(truth)]))
+    assert len(scored) == 2 and any(torch.equal(one.labels, truth) for one in scored)
+    assert not any(torch.equal(one.labels, torch.zeros_like(truth)) for one in scored)
+    found = discover(data, task, SearchSettings(rounds=20, warmup=8), 8, 0.3)
+    assert (
+        float((named_after_truth(found.kept.labels.numpy(), truth.numpy())[0] == truth.numpy()).mean()) > 0.95
+    )
+    least = min(float(one.hindsight.sum()) for one in found.scores)
+    assert float(found.kept.scores.hindsight.sum()) <= least + 0.05

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dpmacro.boosting.crossfit import OWN_ROUNDS, SHARED_ROUNDS
+from dpmacro.boosting.crossfit import CLASSES
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.data.synthetic import digits, two_rules
@@ -73,7 +73,7 @@ def test_reports_every_round(fitted):
     *_, model, reports = fitted
     stages = [report.stage for report in reports]
     assert stages[:80] == ["discover"] * 80
-    scoring = SHARED_ROUNDS + OWN_ROUNDS
+    scoring = CLASSES.shared + CLASSES.own
     first_fit = stages.index("fit")
     between = stages[80:first_fit]
     screened = between.count("recognise")

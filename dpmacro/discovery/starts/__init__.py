@@ -2,6 +2,7 @@
 
 from dpmacro.discovery.starts.chains import chained
 from dpmacro.discovery.starts.classes import action_events, initial_segmentations
+from dpmacro.discovery.starts.clusters import window_clusters
 from dpmacro.discovery.starts.cuts import feature_peaks, random_cuts, uniform_cuts
 from dpmacro.discovery.starts.evidence import Evidence
 from dpmacro.discovery.starts.linear import Moments, linear_alternation
@@ -20,4 +21,5 @@ __all__ = [
     "random_cuts",
     "uniform_cuts",
     "vector_starts",
+    "window_clusters",
 ]

@@ -21,7 +21,7 @@ SHARES = {  # of the restarts
     "goals": 5,
     "spectral": 3,
     "merged": 2,
-    "windows": 2,
+    "windows": 4,
     "jumps": 2,
     "shifts": 2,
     "random": 2,
