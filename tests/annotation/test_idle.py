@@ -149,9 +149,12 @@ def test_a_stretch_lasts_as_long_as_it_must_or_a_whole_demonstration(problem, se
         assert all(end - start >= least for start, end in runs(part))
 
 
-def test_float32_far_from_zero_flickers_by_rounding_alone():
-    values = (1e4 + noisy(np.zeros(200), 1e-4)).astype(np.float32)
+def test_the_last_digit_of_float32_is_no_motion():
+    values = np.repeat(np.float32([1e4, np.nextafter(np.float32(1e4), np.float32(2e4))]), [100, 100])
     assert idle(values).all()
+    assert not idle(values.astype(np.float64)).all()
+    seen = random_demonstrations(keys=(STATE, IMAGE), vector=True)
+    assert moving_columns(seen).dtype == np.float32
 
 
 def test_states_and_actions_are_looked_at_or_else_images():
