@@ -17,7 +17,6 @@ __all__ = ["LONGEST_NAME", "StageName", "checked_names", "stage_names"]
 
 LONGEST = 40  # characters of a name that the data gives
 LONGEST_NAME = 80  # of one that a person gives
-UNSEEN = ("Cc", "Cs", "Zl", "Zp")  # kinds of characters: controls, halves of characters, ends of lines
 CUT = "…"
 
 
@@ -77,7 +76,7 @@ def checked_names(names: Any, count: int | None = None, what: str = "names") -> 
 
     Args:
         names: what should be a list of distinct texts that are not empty, of `LONGEST_NAME` characters at
-            most, without control characters or spaces at their ends.
+            most, without control characters and the like, or spaces at their ends.
         count: how many there have to be.
         what: how messages call them.
 
@@ -96,9 +95,9 @@ def checked_names(names: Any, count: int | None = None, what: str = "names") -> 
             raise ValueError(f"{where}: give a text")
         if not name.strip():
             raise ValueError(f"{where}: a name needs a character that can be seen")
-        wrong = [one for one in name if unicodedata.category(one) in UNSEEN]
+        wrong = [one for one in name if not one.isprintable()]
         if wrong:
-            raise ValueError(f"{where}, with the control character {wrong[0]!a}: leave it out")
+            raise ValueError(f"{where}, with {wrong[0]!a}, which nobody can see: leave it out")
         if name != name.strip():
             raise ValueError(f"{where}: leave out the spaces at its ends")
         if len(name) > LONGEST_NAME:
