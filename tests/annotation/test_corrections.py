@@ -286,6 +286,15 @@ def test_a_stage_that_a_table_renames_everywhere_is_renamed_and_not_corrected(tm
     assert some.corrected.tolist() == [True] * 10 + [False] * 14
 
 
+def test_a_new_name_beside_a_moved_cut_is_no_renaming(tmp_path):
+    own = stages(lengths=LENGTHS[:1], episodes=EPISODES[:1])
+    rows = rows_of(own, ("reach", "hold", "leave"))
+    rows[1][2] = rows[2][1] = 8
+    found = load(tmp_path, table(rows), "labels.csv").apply(own)
+    assert found.names == ("reach", "leave", "hold") and found.corrected.all()
+    assert found.labels.tolist() == [0] * 4 + [2] * 4 + [1] * 2
+
+
 def test_a_segment_of_a_person_is_corrected_and_given_though_it_is_as_it_was(tmp_path):
     first = load(tmp_path, page()).apply(stages())
     corrections = load(tmp_path, table(rows_of(first)), "labels.csv")
@@ -326,7 +335,7 @@ def test_seconds_that_were_edited_instead_of_frames_are_not_passed_over(tmp_path
         (0, 2, "3.5", r"line 2, end_frame is '3.5'"),
         (0, 0, "-1", r"line 2, episode is '-1'"),
         (0, 0, "four", r"line 2, episode is 'four'"),
-        (0, 1, "\u0663", r"line 2, start_frame is "),
+        (0, 1, "\u0663", r"line 2, start_frame is '\u0663': give a whole number"),
         (1, 1, "5", r"line 3, start_frame is 5: that leaves a gap, .* give 4"),
         (1, 1, "3", r"line 3, start_frame is 3: that leaves an overlap, .* give 4"),
         (1, 2, "4", r"line 3, end_frame is 4: a segment that starts at 4 ends at 5"),
@@ -405,3 +414,53 @@ def test_both_files_bring_the_edits_back(tmp_path, problem):
     found = load(tmp_path, table(rows_of(edited)), "labels.csv").apply(own)
     names = [found.names[label] for label in found.labels]
     assert names == [NAMES[label] for label in after]
+
+
+AS_WRITTEN = table(rows_of(stages()))
+STRANGE = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=4,
+)
+
+
+@st.composite
+def spoiled(draw):
+    """A right file with a value, or a few bytes, that are something else."""
+    if draw(st.booleans()):
+        whole = page()
+        keys = [(whole, key) for key in whole] + [
+            (whole["renamed"], 1),
+            (whole["renamed"][0], 1),
+            (whole["names"], 0),
+        ]
+        keys += [(whole["episodes"], 0), *((whole["episodes"][0], key) for key in episode())]
+        keys += [(one, key) for one in whole["episodes"][0]["segments"] for key in one]
+        holder, key = draw(st.sampled_from(keys))
+        holder[key] = draw(STRANGE)
+        return ".json", json.dumps(whole).encode()
+    name = draw(st.sampled_from([".json", ".csv"]))
+    content = bytearray((json.dumps(page()) if name == ".json" else AS_WRITTEN).encode())
+    for _ in range(draw(st.integers(1, 3))):
+        start = draw(st.integers(0, len(content)))
+        content[start : start + draw(st.integers(0, 4))] = draw(st.binary(max_size=3))
+    return name, bytes(content)
+
+
+@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(spoiled())
+def test_a_spoiled_file_is_one_line_or_makes_sense(tmp_path, found):
+    name, content = found
+    path = tmp_path / f"spoiled{name}"
+    path.write_bytes(content)
+    own = stages()
+    for use in (lambda one: one.apply(own), lambda one: one.given(EPISODES, LENGTHS)):
+        try:
+            result = use(Corrections.load(path))
+        except ValueError as error:
+            line = str(error)
+            assert type(error) is ValueError and line.startswith(str(path)) and "\n" not in line
+            line.encode()
+        else:
+            labels = result.labels if isinstance(result, Stages) else result
+            assert labels.dtype == np.int64 and labels.shape == own.labels.shape and labels.min() >= -1
