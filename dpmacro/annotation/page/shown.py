@@ -11,7 +11,7 @@ from dpmacro.annotation.stages import Stages
 __all__ = ["Curves", "Images", "Shown", "Truth", "check"]
 
 # Frames 0..N-1 of all demonstrations, ascending -> their RGB images of one size, in that order.
-Images = Callable[[Int64[np.ndarray, " chosen"]], Iterable[UInt8[np.ndarray, "height width 3"]]]
+Images = Callable[[Int64[np.ndarray, " _"]], Iterable[UInt8[np.ndarray, "_ _ 3"]]]
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,8 @@ def check(stages: Stages, shown: Shown) -> None:
         raise ValueError(f"{len(shown.reasons)} reasons of {n_stages} stages: give one each, or none")
     if not (np.isfinite(stages.fps) and stages.fps > 0):
         raise ValueError(f"fps={stages.fps}: give a positive number")
-    rows = {
-        name: getattr(stages, name) for name in ("labels", "confidence", "idle", "corrected", "timestamps")
-    }
+    of_frames = ("labels", "confidence", "idle", "corrected", "timestamps")
+    rows = {name: getattr(stages, name) for name in of_frames}
     labels = [("labels", stages.labels, n_stages)]
     if shown.truth is not None:
         rows["truth"] = shown.truth.labels

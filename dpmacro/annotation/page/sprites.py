@@ -47,7 +47,7 @@ def chosen_frames(
     n_cameras: int,
     frames: int | None = None,
     budget: int = BUDGET,
-) -> list[Int64[np.ndarray, " chosen"]]:
+) -> list[Int64[np.ndarray, " _"]]:
     """The frames of every demonstration to show, evenly spread, the first and the last among them.
 
     Args:
@@ -75,7 +75,7 @@ def chosen_frames(
 def sprites(
     images: Images,
     lengths: Int[np.ndarray, " demonstrations"],
-    chosen: Sequence[Int64[np.ndarray, " chosen"]],
+    chosen: Sequence[Int64[np.ndarray, " _"]],
     budget: int,
     camera: str = "camera",
 ) -> list[list[Sheet]]:

@@ -104,6 +104,11 @@ function drawList() {
     rowOf.delete(place);
   }
   seen.forEach(drawRow);
+  // Who cannot see the rows hears them in the document's order.
+  [...seen].forEach((place, k) => {
+    const { row } = rowOf.get(place);
+    if (rowsBox.children[k] !== row) rowsBox.insertBefore(row, rowsBox.children[k]);
+  });
   if (seen.has(ui.place)) list.setAttribute("aria-activedescendant", `row-${ui.place}`);
   else list.removeAttribute("aria-activedescendant");
 }

@@ -148,6 +148,7 @@ document.addEventListener("keydown", (event) => {
   else if (Object.hasOwn(KEYS, key)) act = KEYS[key];
   if (!act) return;
   event.preventDefault();
+  if (target === document.body) strip.focus({ preventScroll: true }); // from here on Home and End are its own
   act();
 });
 
