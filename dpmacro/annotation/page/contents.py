@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
+from dpmacro.annotation.dimensions import explained, standardised
 from dpmacro.annotation.page.shown import Curves, Shown
 from dpmacro.annotation.page.sprites import Sheet
 from dpmacro.annotation.stages import Stages
@@ -32,7 +33,7 @@ def contents(
         dataset: its name.
         sheets: for every camera and demonstration its pictures.
     """
-    curves = list(_curves(shown.curves, int(stages.lengths.sum())))
+    curves = list(_curves(shown.curves, stages.labels))
     step = curves[0][0] if curves else 1
     ends = np.cumsum(stages.lengths).tolist()
     demonstrations = []
@@ -97,19 +98,27 @@ def _seconds(timestamps: Float[np.ndarray, " frames"], fps: float) -> str | None
 
 
 def _curves(
-    shown: Sequence[Curves], frames: int
+    shown: Sequence[Curves], labels: Int[np.ndarray, " frames"]
 ) -> Iterator[tuple[int, dict[str, Any], UInt8[np.ndarray, " frames"]]]:
-    """Of every curve the frames between two that are kept, its name and range, and its values as bytes."""
-    count = min(sum(len(curves.names) for curves in shown), DIMENSIONS)
-    step = max(1, -(-count * frames // CURVE_BYTES))
+    """Of every curve the frames between two that are kept, what it is, and its values as bytes.
+
+    What it is: its name, its range, and the share of its variance that the stages explain.
+    """
     columns = [(name, curves.values[:, dim]) for curves in shown for dim, name in enumerate(curves.names)]
-    for name, values in columns[:count]:
+    columns = columns[:DIMENSIONS]
+    step = max(1, -(-len(columns) * len(labels) // CURVE_BYTES))
+    for name, values in columns:
         finite = np.isfinite(values)
         known = values[finite].astype(np.float64)
         low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
         levels = np.full(len(values), LEVEL + 1, np.uint8)
         levels[finite] = np.rint((known - low) / ((high - low) or 1.0) * LEVEL).astype(np.uint8)
-        yield step, {"name": name, "low": low, "high": high}, levels
+        telling = (
+            explained(standardised(known[:, None].astype(np.float32)), labels[finite])
+            if len(known)
+            else [0.0]
+        )
+        yield step, {"name": name, "low": low, "high": high, "explained": float(telling[0])}, levels
 
 
 def _base64(values: Shaped[np.ndarray, "..."]) -> str:

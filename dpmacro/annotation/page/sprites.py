@@ -18,7 +18,7 @@ A_SECOND = 2
 MOST = 2000  # frames of a demonstration
 ON_A_SHEET = 100  # a browser decodes a whole sheet to show one frame of it
 SIDES = (192, 160, 128, 96, 64, 48)  # pixels of the longer side, tried in this order
-LETTERS_A_PIXEL = 0.12  # of photographs in WebP of good quality, in base64
+LETTERS_A_PIXEL = 0.1  # of photographs in WebP of good quality, in base64
 LEAST = 500  # letters that a picture is worth having from
 QUALITIES = (70, 45, 25, 10)
 

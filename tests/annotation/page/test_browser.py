@@ -189,6 +189,55 @@ def test_stages_are_renamed_merged_and_added_everywhere(page, opened):
         assert status(tab) == "Nothing has been changed yet."
 
 
+def opened_file(tab, found):
+    content = found if isinstance(found, bytes) else json.dumps(found).encode()
+    tab.locator("#file").set_input_files(
+        {"name": "c.json", "mimeType": "application/json", "buffer": content}
+    )
+    tab.locator("#status", has_text="c.json").wait_for()
+    settle(tab)
+
+
+def test_a_saved_file_is_opened_to_go_on(page, opened):
+    with opened(page) as tab:
+        press(tab, "n", "n", "d", "j", "n", "Enter", "ArrowLeft", "Enter")
+        tab.get_by_role("button", name="Merge reach into another stage").click()
+        tab.get_by_role("button", name="Merge", exact=True).click()
+        tab.get_by_role("button", name="Add stage").click()
+        tab.keyboard.press("Enter")
+        press(tab, "End", "ArrowLeft", "a", "3")
+        before = saved(tab)[0]
+        assert before["names"] == ["grasp", "carry", "stage 3"] and len(before["episodes"]) == 2
+    with opened(page) as tab:
+        opened_file(tab, before)
+        assert saved(tab)[0] == before
+        press(tab, "u", "Control+s")
+        assert status(tab) == "Nothing has been changed yet."
+        for spoiled, message in (
+            (b"{", "c.json was not opened: "),
+            ({**before, "format": "other"}, 'it is not of the format "dpmacro corrections 1".'),
+            ({**before, "dataset": "other"}, "it is of the dataset other, this page of some set."),
+            ({**before, "names": ["a", "a", "b"]}, "two of its stages have one name."),
+            ({**before, "names": []}, "it has no names of stages."),
+            ({**before, "renamed": [[0, 0]]}, "it is of 1 stages, this page of 3."),
+            ({**before, "renamed": [[0, 0], [1, 1], [2, 9]]}, "its stages are not those of this page."),
+            ({**before, "episodes": None}, "it has no list of episodes."),
+            (
+                {**before, "episodes": [{"episode": 99, "frames": 3, "segments": []}]},
+                "its episode 99 is not of this page.",
+            ),
+            (
+                {**before, "episodes": [{"episode": 5, "frames": 50, "segments": segments((1, 0), 50)}]},
+                "its episode 5 is not covered by segments.",
+            ),
+        ):
+            tab.evaluate("document.getElementById('status').textContent = ''")
+            opened_file(tab, spoiled)
+            assert message in status(tab)
+            press(tab, "Control+s")
+            assert status(tab) == "Nothing has been changed yet."
+
+
 def test_the_merge_can_be_cancelled(page, opened):
     with opened(page) as tab:
         for way in ("Cancel", "Escape"):
@@ -276,7 +325,7 @@ def test_every_camera_shows_the_frame_under_the_cursor(page, opened):
         for keys, frame in (((), 100), (("PageDown",), 110), (("j", "End"), 99), (("k", "End"), 149)):
             tab.locator("#strip").focus()
             press(tab, *keys)
-            tab.wait_for_function("document.querySelector('#cameras canvas').width === 32")
+            tab.locator("#cameras canvas[width='32']").first.wait_for()
             tab.wait_for_timeout(100)  # a sheet is decoded
             settle(tab)
             (wanted,) = coloured(np.array([frame]))

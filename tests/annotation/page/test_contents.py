@@ -72,6 +72,15 @@ def test_truth_and_curves_come_back():
         np.testing.assert_allclose(read[kept], wanted[kept], atol=(high - low) / 508 + 1e-5)
 
 
+def test_curves_say_how_well_they_tell_the_stages_apart():
+    stages = some_stages()
+    noise = np.random.default_rng(0).normal(size=150)
+    values = np.column_stack([noise, stages.labels, np.full(150, np.nan), stages.labels + 0.5 * noise])
+    axes = contents(stages, "some", Shown(curves=(Curves(values, tuple("abcd")),)))["curves"]
+    told = [axis["explained"] for axis in axes]
+    assert told[1] == pytest.approx(1) and told[0] < 0.1 and told[2] == 0 and 0.4 < told[3] < 0.9
+
+
 def test_long_curves_are_thinned_and_many_are_cut(monkeypatch):
     monkeypatch.setattr(module, "CURVE_BYTES", 400)
     monkeypatch.setattr(module, "DIMENSIONS", 5)

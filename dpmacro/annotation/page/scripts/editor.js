@@ -182,8 +182,8 @@ function drawStrip() {
   top += layout.band + 4;
   drawConfidence(context, one, view, top, layout.confidence);
   if (one.truth) drawTruth(context, one, view, top + layout.confidence + 4, layout.truth, true);
-  drawCuts(context, segments, view);
   drawCursor(context, view, height);
+  drawCuts(context, segments, view);
   tellStrip(one, segments, stages);
 }
 

@@ -85,8 +85,13 @@ function isEdited(state, place) {
   return was.length !== is.length || was.some((one, k) => one.start !== is[k].start || one.label !== is[k].label);
 }
 
+const editedIn = new WeakMap(); // state -> places, for a state is looked at often and never changes
+
 function editedPlaces(state) {
-  return demonstrations.map((one) => one.place).filter((place) => isEdited(state, place));
+  if (!editedIn.has(state)) {
+    editedIn.set(state, demonstrations.map((one) => one.place).filter((place) => isEdited(state, place)));
+  }
+  return editedIn.get(state);
 }
 
 function isChanged(state) {
@@ -115,6 +120,43 @@ function corrections(state) {
     renamed: state.renamed.map((now, old) => [old, now]),
     episodes,
   };
+}
+
+// The state that a saved file describes. Throws an Error with one line where it is not of this page.
+function stateFrom(found) {
+  const must = (holds, text) => {
+    if (!holds) throw new Error(text);
+  };
+  const within = (value, end) => Number.isInteger(value) && value >= 0 && value < end;
+  must(found && found.format === data.format, `it is not of the format "${data.format}"`);
+  must(found.dataset === data.dataset, `it is of the dataset ${found.dataset}, this page of ${data.dataset}`);
+  const { names, renamed, episodes } = found;
+  const isName = (name) => typeof name === "string" && name.trim() !== "";
+  must(Array.isArray(names) && names.length > 0 && names.every(isName), "it has no names of stages");
+  must(new Set(names).size === names.length, "two of its stages have one name");
+  const pairs = new Map(Array.isArray(renamed) ? renamed : []);
+  const now = data.names.map((_, old) => pairs.get(old));
+  must(pairs.size === data.names.length, `it is of ${pairs.size} stages, this page of ${data.names.length}`);
+  must(now.every((label) => within(label, names.length)), "its stages are not those of this page");
+  const stages = names.map((name, k) => {
+    const old = now.indexOf(k);
+    return { name, colour: old < 0 ? data.names.length + k : old, reason: (old >= 0 && data.reasons[old]) || "" };
+  });
+  const segments = demonstrations.map((one) =>
+    joined(one.segments.map(({ start, label }) => ({ start, label: now[label] }))),
+  );
+  must(Array.isArray(episodes), "it has no list of episodes");
+  for (const { episode, frames, segments: own } of episodes) {
+    const one = demonstrations.find((other) => other.episode === episode);
+    must(one && one.frames === frames, `its episode ${episode} is not of this page`);
+    const whole =
+      Array.isArray(own) && own.length > 0 && own[0].start === 0 && own[own.length - 1].end === frames &&
+      own.every((part, k) => part.start < part.end && (!k || part.start === own[k - 1].end)) &&
+      own.every((part) => within(part.start, frames) && within(part.label, names.length));
+    must(whole, `its episode ${episode} is not covered by segments`);
+    segments[one.place] = joined(own.map(({ start, label }) => ({ start, label })));
+  }
+  return { stages, renamed: now, segments };
 }
 
 // Undo and redo. Changes of one `gesture` (a cut held and moved key by key) are undone together.

@@ -60,6 +60,18 @@ function save() {
   return say(`Saved ${link.download}: ${count} edited demonstration${count === 1 ? "" : "s"}.`);
 }
 
+async function openFile(file) {
+  let state = null;
+  try {
+    state = stateFrom(JSON.parse(await file.text()));
+  } catch (error) {
+    return say(`${file.name} was not opened: ${error.message}.`);
+  }
+  change(state, `${file.name} opened.`);
+  savedState = state;
+  return select(ui.place, ui.frame);
+}
+
 function toggleLines() {
   const box = document.getElementById("curves");
   const toggle = document.getElementById("lines");
@@ -69,11 +81,15 @@ function toggleLines() {
   draw();
 }
 
+// At first the lines that tell the stages apart best.
+const first = data.curves.map((_, k) => k).sort((a, b) => data.curves[b].explained - data.curves[a].explained);
+first.splice(4);
+
 data.curves.forEach(({ name }, k) => {
   const label = document.createElement("label");
   const box = document.createElement("input");
   box.type = "checkbox";
-  box.checked = k < 4;
+  box.checked = first.includes(k);
   if (box.checked) ui.lines.add(k);
   box.addEventListener("change", () => {
     if (box.checked) ui.lines.add(k);
@@ -152,7 +168,14 @@ document.addEventListener("keydown", (event) => {
   act();
 });
 
+const chosenFile = document.getElementById("file");
+chosenFile.addEventListener("change", () => {
+  if (chosenFile.files.length) openFile(chosenFile.files[0]);
+  chosenFile.value = ""; // the same file may be chosen again
+});
+
 const BUTTONS = {
+  open: () => chosenFile.click(),
   undo,
   redo,
   save,
