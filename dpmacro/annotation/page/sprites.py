@@ -19,6 +19,7 @@ MOST = 2000  # frames of a demonstration
 ON_A_SHEET = 100  # a browser decodes a whole sheet to show one frame of it
 SIDES = (192, 160, 128, 96, 64, 48)  # pixels of the longer side, tried in this order
 LETTERS_A_PIXEL = 0.1  # of photographs in WebP of good quality, in base64
+SMALLEST = 24  # pixels of the longer side, of a picture alone that is too large at any quality
 LEAST = 500  # letters that a picture is worth having from
 QUALITIES = (70, 45, 25, 10)
 
@@ -82,7 +83,8 @@ def sprites(
     """The sheets of every demonstration as one camera saw it; their sources are `budget` letters at most.
 
     Pictures are as large and as good as the budget allows. Where it does not allow poor ones, every second
-    frame of a sheet is left out, and so on; what is not needed of a sheet's share goes to those after it.
+    frame of a sheet is left out, and so on; a last one is made smaller. What is not needed of a sheet's share
+    goes to those after it.
 
     Raises ValueError where an image is no RGB image of bytes of the others' size, or one is missing.
     """
@@ -136,7 +138,7 @@ def _fitting(
     frames: list[int], pictures: list[UInt8[np.ndarray, "height width 3"]], letters: int
 ) -> Sheet | None:
     """A sheet whose source has so many letters at most, of all frames or of fewer; None where none fits."""
-    while frames:
+    while True:
         sheet = _tiled(pictures)
         columns = sheet.shape[1] // pictures[0].shape[1]
         for quality in QUALITIES:
@@ -144,10 +146,13 @@ def _fitting(
             if len(source) <= letters:
                 height, width = pictures[0].shape[:2]
                 return Sheet(frames, columns, width, height, source)
-        if len(frames) == 1:
-            break
-        frames, pictures = frames[::2], pictures[::2]
-    return None
+        if len(frames) > 1:
+            frames, pictures = frames[::2], pictures[::2]
+        elif max(pictures[0].shape) > SMALLEST:
+            half = max(1, pictures[0].shape[1] // 2), max(1, pictures[0].shape[0] // 2)
+            pictures = [cv2.resize(pictures[0], half, interpolation=cv2.INTER_AREA)]
+        else:
+            return None
 
 
 def _tiled(pictures: list[UInt8[np.ndarray, "height width 3"]]) -> UInt8[np.ndarray, "rows columns 3"]:

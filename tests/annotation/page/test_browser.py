@@ -144,6 +144,7 @@ def test_undo_and_redo_go_step_by_step_and_a_held_cut_in_one(page, opened):
         press(tab, "Control+z", "Control+z", "Control+z")
         assert status(tab) == "There is nothing to undo."
         press(tab, "Home", "n", "Enter", "ArrowRight", "ArrowRight", "Escape")
+        assert tab.locator("#redo").is_disabled(), "what was put back was never done"
         assert status(tab) == "Cut put back." and told(tab) == "frame 17 of 50, 1.70 s, grasp, at a cut"
         press(tab, "Control+s")
         assert status(tab) == "Nothing has been changed yet."
@@ -461,7 +462,7 @@ def test_much_data_is_drawn_at_once(lengths, tmp_path, opened):
               return (performance.now() - begun) / 20;
             }"""
         )
-        assert taken < 150, "milliseconds a key, on a slow and busy machine"
+        assert taken < 250, "milliseconds a key, on a slow and busy machine"
         assert len(saved(tab)[0]["episodes"]) == 1
         tab.locator("#list").evaluate("(list) => { list.scrollTop = list.scrollHeight / 2; }")
         settle(tab)

@@ -83,6 +83,14 @@ def test_no_image_breaks_the_budget(lengths, shape, budget):
             assert len(shown) == len(own), "a budget that suffices is used"
 
 
+def test_every_demonstration_gets_its_share_of_a_small_budget():
+    lengths = np.array([40] * 6)
+    made = sprites(noise((48, 64)), lengths, chosen_frames(lengths, 10.0, 1), 60_000)
+    shown = [sum(len(sheet.frames) for sheet in sheets) for sheets in made]
+    assert 0 < min(shown) < 40 and max(shown) <= 2 * min(shown)
+    assert max(letters([sheets]) for sheets in made) <= 20_000
+
+
 def test_a_larger_budget_gives_larger_pictures():
     lengths = np.array([40])
     chosen = chosen_frames(lengths, 10.0, 1)

@@ -72,6 +72,12 @@ async function openFile(file) {
   return select(ui.place, ui.frame);
 }
 
+// In focus is the heading, not the first field: on a small screen that one may be far below.
+function showKeys() {
+  keysDialog.showModal();
+  document.getElementById("keys-heading").focus();
+}
+
 function toggleLines() {
   const box = document.getElementById("curves");
   const toggle = document.getElementById("lines");
@@ -127,7 +133,7 @@ const KEYS = {
   "-": () => zoom(2),
   0: () => zoom(Infinity),
   l: toggleLines,
-  "?": () => keysDialog.showModal(),
+  "?": showKeys,
   Escape: putBack,
 };
 const OF_THE_STRIP = {
@@ -179,7 +185,7 @@ const BUTTONS = {
   undo,
   redo,
   save,
-  help: () => keysDialog.showModal(),
+  help: showKeys,
   "previous-cut": () => stepToCut(-1),
   "next-cut": () => stepToCut(1),
   hold: () => {

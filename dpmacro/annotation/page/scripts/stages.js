@@ -63,6 +63,7 @@ function askMerge(stage) {
   merge.dataset.stage = stage;
   merge.returnValue = "";
   merge.showModal();
+  choice.focus();
 }
 
 merge.addEventListener("close", () => {
