@@ -79,8 +79,7 @@ def test_no_image_breaks_the_budget(lengths, shape, budget):
     for own, sheets in zip(chosen, made, strict=True):
         shown = [frame for sheet in sheets for frame in sheet.frames]
         assert set(shown) <= set(own.tolist()) and shown == sorted(shown)
-        if budget >= 300_000:
-            assert len(shown) == len(own), "a budget that suffices is used"
+        assert shown or budget < 300_000, "noise, too, is shown where there is room"
 
 
 def test_every_demonstration_gets_its_share_of_a_small_budget():
