@@ -15,7 +15,17 @@ from dpmacro.utils.files import replacing
 
 __all__ = ["page_text", "write_page"]
 
-SCRIPTS = ("data", "edits", "drawing", "pictures", "editor", "list", "stages", "main")  # in this order
+SCRIPTS = (
+    "data",
+    "edits",
+    "drawing",
+    "pictures",
+    "editor",
+    "cuts",
+    "list",
+    "stages",
+    "main",
+)  # in this order
 
 
 def write_page(
