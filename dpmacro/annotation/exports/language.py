@@ -109,7 +109,7 @@ def _plain(kind: pa.DataType) -> pa.ListType | None:
     """The type of a list of structs without extensions, which no array is made of; None for other types."""
     if not (pa.types.is_list(kind) and pa.types.is_struct(kind.value_type)):
         return None
-    return pa.list_(pa.struct([pa.field(one.name, _stored(one.type)) for one in kind.value_type]))
+    return pa.list_(pa.struct([pa.field(one.name, _stored(one.type), one.nullable) for one in kind.value_type]))
 
 
 def _stored(kind: pa.DataType) -> pa.DataType:

@@ -1,5 +1,6 @@
 """Subtasks' ends as MimicGen reads them, in an HDF5 file."""
 
+import io
 from pathlib import Path
 
 import h5py
@@ -47,7 +48,8 @@ class MimicGen(Export):
 
         def write(path: Path) -> None:
             lengths = self.stages.lengths.tolist()
-            with h5py.File(path, "w") as file:
+            content = io.BytesIO()  # h5py cannot give up a file on a full disk
+            with h5py.File(content, "w") as file:
                 parts = zip(self.stages.episodes, lengths, self.labelled.segments, strict=True)
                 for episode, length, segments in parts:
                     demonstration = file.create_group(f"data/demo_{episode}")
@@ -56,5 +58,6 @@ class MimicGen(Export):
                     for label, _, end in segments[:-1]:
                         ended = (np.arange(length) >= end - 1).astype(np.int64)
                         signals.create_dataset(self.labelled.name(label), data=ended, compression="gzip")
+            path.write_bytes(content.getbuffer())
 
         return {FILE: write}
