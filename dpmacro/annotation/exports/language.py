@@ -47,10 +47,10 @@ class Language(Export):
         return None
 
     def notes(self) -> tuple[str, ...]:
-        """Older readers do not know such columns."""
+        """Older readers do not know such columns, and one of LeRobot's own tools does not either."""
         return (
-            "language: LeRobot before 0.6 cannot open a dataset with language columns; write another with "
-            "--formats='[subtask_index]' for it",
+            "language: LeRobot before 0.6 cannot open a dataset with language columns, and lerobot-dataset-viz "
+            "of 0.6.1 stops at them; write another dataset with --formats='[subtask_index]' for both",
         )
 
     def features(self) -> dict[str, dict[str, Any]]:
@@ -109,7 +109,9 @@ def _plain(kind: pa.DataType) -> pa.ListType | None:
     """The type of a list of structs without extensions, which no array is made of; None for other types."""
     if not (pa.types.is_list(kind) and pa.types.is_struct(kind.value_type)):
         return None
-    return pa.list_(pa.struct([pa.field(one.name, _stored(one.type), one.nullable) for one in kind.value_type]))
+    return pa.list_(
+        pa.struct([pa.field(one.name, _stored(one.type), one.nullable) for one in kind.value_type])
+    )
 
 
 def _stored(kind: pa.DataType) -> pa.DataType:
