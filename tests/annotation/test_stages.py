@@ -44,7 +44,6 @@ WRONG = {
     "an episode too few": {"episodes": (7,)},
     "no fps": {"fps": 0.0},
     "fps that is no number": {"fps": float("nan")},
-    "too few frames": {"idle": np.zeros(5, bool)},
     "a label without a name": {"labels": np.array([0, 0, 2, 1, 1, 0])},
     "a label below 0": {"labels": np.array([0, 0, -1, 1, 1, 0])},
     "confidence above 1": {"confidence": np.full(N, 1.5)},
@@ -58,3 +57,8 @@ def test_what_stages_cannot_be_is_said_in_a_line(changes):
     with pytest.raises(ValueError, match=rf"^(?:{'|'.join(changes)})\b.+: give ") as caught:
         replace(GOOD, **changes)
     assert "\n" not in str(caught.value)
+
+
+def test_lengths_add_up_to_the_frames():
+    with pytest.raises(ValueError, match=r"^labels have shape \[6\], lengths add up to 7: give one a frame$"):
+        replace(GOOD, lengths=np.array([4, 3]))

@@ -49,8 +49,9 @@ class Language(Export):
     def notes(self) -> tuple[str, ...]:
         """Older readers do not know such columns, and one of LeRobot's own tools does not either."""
         return (
-            "language: LeRobot before 0.6 cannot open a dataset with language columns, and lerobot-dataset-viz "
-            "of 0.6.1 stops at them; write another dataset with --formats='[subtask_index]' for both",
+            "language: LeRobot before 0.6 cannot open a dataset with language columns, and "
+            "lerobot-dataset-viz of 0.6.1 stops at them; write another dataset with "
+            "--formats='[subtask_index]' for both",
         )
 
     def features(self) -> dict[str, dict[str, Any]]:

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from compared import assert_nothing_lost
 from staged import some_stages
+from stopped import killed
 
 from dpmacro.annotation.exports.dataset import write_labels
 from dpmacro.annotation.exports.folders import unfinished
@@ -155,54 +156,35 @@ def test_formats_from_before_are_written_anew_or_dropped(stored, stages, tmp_pat
 # What stops a run.
 
 
-def killed(call, at, before):
-    """`call` in a process that is killed at the rename number `at`, before or after it; whether it was."""
-    child = os.fork()
-    if child:
-        return os.waitpid(child, 0)[1] == 9
-    rename, count = Path.replace, [0]
-
-    def counted(self, target):
-        count[0] += 1
-        if count[0] == at and before:
-            os.kill(os.getpid(), 9)
-        rename(self, target)
-        if count[0] == at:
-            os.kill(os.getpid(), 9)
-
-    Path.replace = counted
-    try:
-        call()
-    finally:
-        os._exit(0)
-
-
-def test_a_run_killed_anywhere_leaves_nothing_finished_and_is_gone_on_with(stored, stages, tmp_path):
-    write_labels(stored, tmp_path / "whole", stages, ALL)
+def test_a_run_killed_anywhere_leaves_nothing_finished_and_is_gone_on_with(tmp_path):
+    root, stages = lerobot_files.build(tmp_path / "in", video={}), some_stages((5, 6))
+    write_labels(root, tmp_path / "whole", stages, ["sarm", "csv"])
     whole, output, at = contents(tmp_path / "whole"), tmp_path / "out", 0
 
-    def call():
-        write_labels(stored, output, stages, ALL)
-
-    while killed(call, at := at + 1, before=at % 2 == 0):
-        assert not output.exists()
+    arguments = (root, output, stages, ["sarm", "csv"])
+    while killed(arguments, at := at + 1, before=at % 2 == 0):
         partial = tmp_path / ".out.partial/dataset"
+        if not partial.exists():  # it has its name
+            assert contents(output) == whole
+            shutil.rmtree(output)
+            continue
+        assert not output.exists()
         if at % 4 == 0:
-            killed(call, 1, before=True)  # and again
+            assert killed(arguments, 1, before=True)  # and again
         done = {name: (partial / name).stat().st_ino for name in tree(partial) & whole.keys()}
         assert at < 3 or done
-        call()
+        write_labels(*arguments)
         assert contents(output) == whole
         assert {name: (output / name).stat().st_ino for name in done} == done
         shutil.rmtree(output)
-    assert at > 12
+    assert at > 9
     assert contents(output) == whole
-    assert {path.name for path in tmp_path.iterdir()} == {"whole", "out"}
+    assert {path.name for path in tmp_path.iterdir()} == {"in", "whole", "out"}
 
 
 def test_other_labels_are_not_mixed_with_those_of_a_stopped_run(stored, stages, tmp_path):
     other = replace(stages, labels=stages.labels[::-1].copy())
-    assert killed(lambda: write_labels(stored, tmp_path / "out", stages, ["csv"]), 6, False)
+    assert killed((stored, tmp_path / "out", stages, ["csv"]), 6)
     assert tree(tmp_path / ".out.partial/dataset")
     write_labels(stored, tmp_path / "out", other, ["csv"])
     assert_same_stages(read_labels(tmp_path / "out"), other)

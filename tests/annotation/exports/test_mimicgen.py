@@ -1,5 +1,7 @@
 """MimicGen's signals, by its rule for where a subtask ends, written again from its description."""
 
+from pathlib import Path
+
 import h5py
 import numpy as np
 import pytest
@@ -10,6 +12,9 @@ from staged import some_stages
 from dpmacro.annotation.exports.base import Labelled
 from dpmacro.annotation.exports.dataset import write_labels
 from dpmacro.annotation.exports.mimicgen import MimicGen
+from dpmacro.data.lerobot.reader import StoredDataset
+
+NOTHING = StoredDataset(Path(), {}, {}, [])
 
 
 def subtasks(demonstration, signals):
@@ -51,7 +56,7 @@ def test_subtasks_are_the_segments(stored, stages, tmp_path):
 def test_subtasks_of_any_length(tmp_path_factory, parts):
     labels = np.concatenate([np.repeat([2, 0, 1], of_one) for of_one in parts])
     stages = some_stages([sum(of_one) for of_one in parts], ("b", "c", "a"), labels=labels)
-    export = MimicGen(Labelled(None, stages, {}))
+    export = MimicGen(Labelled(NOTHING, stages, {}))
     if min(of_one[0] for of_one in parts) == 1:
         assert "has one frame, so that its signal never changes" in export.refusal()
         return
@@ -69,9 +74,9 @@ def test_subtasks_of_any_length(tmp_path_factory, parts):
 )
 def test_names_that_are_no_paths(names, message):
     stages = some_stages([4, 4], names)
-    assert message in MimicGen(Labelled(None, stages, {})).refusal()
+    assert message in MimicGen(Labelled(NOTHING, stages, {})).refusal()
 
 
 def test_one_stage_has_no_signal():
     stages = some_stages([4, 4], ("all of it",), labels=np.zeros(8))
-    assert "there is one stage only" in MimicGen(Labelled(None, stages, {})).refusal()
+    assert "there is one stage only" in MimicGen(Labelled(NOTHING, stages, {})).refusal()
