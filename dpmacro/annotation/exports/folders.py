@@ -75,7 +75,7 @@ def files_of(root: Path) -> dict[str, Path]:
 
     Raises DatasetError for what is neither a file nor a folder, and for a folder that holds itself.
     """
-    return {path.relative_to(root).as_posix(): path for path in _walk(root, ()) if _visible(root, path)}
+    return {path.relative_to(root).as_posix(): path for path in _walk(root, ())}
 
 
 def copy(source: Path, target: Path) -> None:
@@ -109,10 +109,6 @@ def _walk(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
             raise DatasetError(
                 f"{path}: is neither a file nor a folder, a broken link say; remove or restore it"
             )
-
-
-def _visible(root: Path, path: Path) -> bool:
-    return not path.relative_to(root).parts[0].startswith(".") or path.parent == root
 
 
 def _is_empty_folder(path: Path) -> bool:

@@ -37,7 +37,7 @@ def labelled_dataset(root: Path, stages: Stages) -> Labelled:
     rows = store.locate(store.episodes)
     in_order = _in_order(store, rows, stages)
     seconds = store.columns(["timestamp"], store.episodes, rows)["timestamp"]
-    in_order = replace(in_order, timestamps=seconds.astype(np.float64))
+    in_order = replace(in_order, timestamps=seconds.reshape(-1).astype(np.float64))
     return Labelled(store, in_order, _places(root, rows))
 
 
@@ -106,6 +106,7 @@ def _open(root: Path) -> StoredDataset:
             raise DatasetError(
                 f"dataset {root}: meta/info.json names no column {name}; it is no LeRobot dataset"
             )
+    _ = store.fps  # raises where it is none
     return store
 
 

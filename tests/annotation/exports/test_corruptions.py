@@ -79,7 +79,8 @@ def change_rows(path, rng):
     if path.suffix != ".parquet":
         return flip(path, rng)
     table = pq.read_table(path)
-    pq.write_table(table.take(rng.integers(0, len(table), len(table) + rng.integers(-2, 3))), path)
+    count = max(len(table) + int(rng.integers(-2, 3)), 0)
+    pq.write_table(table.take(rng.integers(0, len(table), count)), path)
 
 
 DAMAGES = (
