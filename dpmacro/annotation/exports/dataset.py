@@ -136,9 +136,13 @@ class _Build:
                 path.unlink()
 
     def replaced(self) -> list[str]:
-        """A line for what the old dataset has under the same names."""
-        names = [name for name in self._columns if name in self.labelled.store.features]
-        return [f"columns replaced: {', '.join(names)}"] if names else []
+        """Lines for what the old dataset has under the same names."""
+        of_episodes = {name for path in self._episode_tables for name in column_names(path)}
+        columns = [name for name in self._columns if name in self.labelled.store.features]
+        columns += [name for one in self.exports for name in one.episode_columns if name in of_episodes]
+        files = [name for one in self.exports for name in one.files if name in self.stored]
+        named = {"columns": columns, "files": files}
+        return [f"{what} replaced: {', '.join(names)}" for what, names in named.items() if names]
 
     def _files(self) -> dict[str, Make]:
         """By the path of every file in the new dataset, a function that writes it."""
@@ -151,7 +155,7 @@ class _Build:
         top = name.split("/")[0]
         if path in self.labelled.places:
             return _whole(lambda target: rewrite(path, target, self._of_frames(path), self._gone))
-        if name.startswith("meta/episodes/") and name.endswith(".parquet"):
+        if path in self._episode_tables:
             return _whole(lambda target: self._write_episodes(path, target))
         if name == INFO:
             return _whole(self._write_info)
@@ -160,6 +164,14 @@ class _Build:
         if top in ("videos", "images"):
             return lambda target: link_or_copy(path, target)
         return _whole(lambda target: copy(path, target))
+
+    @cached_property
+    def _episode_tables(self) -> list[Path]:
+        return [
+            path
+            for name, path in self.stored.items()
+            if name.startswith("meta/episodes/") and name.endswith(".parquet")
+        ]
 
     @cached_property
     def _columns(self) -> list[str]:
@@ -191,8 +203,8 @@ class _Build:
     def _of_episodes(self) -> dict[str, pa.Array]:
         """New columns of meta/episodes; statistics where it has some already."""
         columns = {name: values for export in self.exports for name, values in export.of_episodes().items()}
-        tables = [path for name, path in self.stored.items() if name.startswith("meta/episodes/")]
-        if any(name.startswith("stats/") for path in tables for name in column_names(path)):
+        stored = (name for path in self._episode_tables for name in column_names(path))
+        if any(name.startswith("stats/") for name in stored):
             columns |= episode_columns(self._numbers, self.labelled.stages.trajectories)
         return columns
 

@@ -22,13 +22,14 @@ def unordered(labelled: Labelled) -> str | None:
             again = next(label for place, label in enumerate(own) if label in own[:place])
             return (
                 f"stages come back ({labelled.name(again)!r} in episode {episode}), and it needs the same "
-                "stages in the same order in every demonstration: leave it out, or segment in one order"
+                "stages in the same order in every demonstration: leave it out, or segment with "
+                "--planner.order=chain"
             )
         if own != order:
             return (
                 f"episode {episodes[0]} has {_listed(labelled, order)} and episode {episode} "
                 f"{_listed(labelled, own)}, and it needs the same stages in the same order in every "
-                "demonstration: leave it out, or segment in one order"
+                "demonstration: leave it out, or segment with --planner.order=chain"
             )
     return None
 

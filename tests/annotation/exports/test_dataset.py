@@ -57,7 +57,13 @@ def test_edits_of_stages_change_the_labels_alone(stored, stages, tmp_path):
         stages, labels=labels, names=("go", "carry it", "leave"), corrected=np.ones(len(labels), bool)
     )
     written = write_labels(tmp_path / "one", tmp_path / "two", edited, ALL)
-    assert "columns replaced: macro_action" in written.notes[0]
+    assert written.notes[0].startswith(
+        "columns replaced: macro_action, confidence, idle, corrected, subtask_i"
+    )
+    assert written.notes[0].endswith("dense_subtask_start_frames, dense_subtask_end_frames")
+    assert written.notes[1].startswith(
+        "files replaced: meta/dpmacro_stages.json, meta/subtasks.parquet, meta/"
+    )
     ours = {column for export in FORMATS.values() for column in export.columns}
     ours |= {column for export in FORMATS.values() for column in export.episode_columns}
     ours |= {path for export in FORMATS.values() for path in export.files}
@@ -138,6 +144,15 @@ def test_by_default_what_the_installed_lerobot_reads(stored, stages, tmp_path):
     written = write_labels(stored, tmp_path / "out", stages)
     assert written.formats == default_formats()
     assert set(written.formats) < set(ALL) and "csv" in written.formats
+
+
+def test_a_file_of_the_same_name_is_replaced_and_said(tmp_path):
+    root = lerobot_files.build(tmp_path / "in")
+    (root / "labels.csv").write_text("mine")
+    written = write_labels(root, tmp_path / "out", some_stages((5, 6)), ["csv"])
+    assert written.notes == ("files replaced: labels.csv",)
+    assert (root / "labels.csv").read_text() == "mine"
+    assert (tmp_path / "out/labels.csv").read_text().startswith("episode,")
 
 
 def test_formats_from_before_are_written_anew_or_dropped(stored, stages, tmp_path):
