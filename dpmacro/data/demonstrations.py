@@ -41,6 +41,7 @@ class Demonstrations:
         state_names: names of the numbers of every vector in `observations`.
         tasks: what there is to do, in words, by task_index; () where the data does not say.
         notes: what a user should know of the choices made in reading, a line each.
+        episodes: the dataset's numbers of the trajectories; () where the data does not say.
     """
 
     observations: dict[str, np.ndarray]
@@ -58,6 +59,7 @@ class Demonstrations:
     state_names: dict[str, tuple[str, ...]] = field(default_factory=dict)
     tasks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    episodes: tuple[int, ...] = ()
 
     @classmethod
     def of_images(
@@ -114,6 +116,11 @@ class Demonstrations:
         return self.actions.ndim == 2
 
     @property
+    def numbers(self) -> tuple[int, ...]:
+        """The dataset's numbers of the trajectories, 0, 1, ... where the data does not say."""
+        return self.episodes or tuple(range(len(self.lengths)))
+
+    @property
     def cameras(self) -> tuple[str, ...]:
         """The observations that are images."""
         return tuple(name for name, values in self.observations.items() if values.ndim == 4)
@@ -153,6 +160,7 @@ class Demonstrations:
             actions=self.actions[frames],
             lengths=self.lengths[chosen],
             truth=None if self.truth is None else self.truth[frames],
+            episodes=tuple(self.episodes[index] for index in chosen) if self.episodes else (),
         )
 
     def joined(self, others: "Demonstrations") -> "Demonstrations":
@@ -194,4 +202,5 @@ class Demonstrations:
             truth=np.concatenate([self.truth, others.truth]) if same_truth else None,
             truth_name=self.truth_name if same_truth else None,
             truth_classes=max(self.truth_classes, others.truth_classes, key=len) if same_truth else (),
+            episodes=(),
         )
