@@ -50,6 +50,8 @@ class SearchOptions(PlannerOptions):
 
     macros: int | str = "auto"
     """Number of stages Q; auto chooses between 1 and max_macros by left-out data."""
+    order: str = "auto"
+    """Order of stages, free, chain for the same one in all demonstrations, or auto by the data."""
 
 
 @dataclass(frozen=True)
