@@ -46,7 +46,7 @@ pytest: $(INSTALLED)
 	$(TESTS) $(SHAPES) -m 'not benchmark'
 
 # What another LeRobot or Python may break: datasets read and written, options, scripts, worlds, a training.
-VERSIONS := tests/data tests/scripts tests/worlds tests/utils/test_cli.py tests/test_layout.py tests/training/test_train.py
+VERSIONS := tests/annotation/exports tests/data tests/scripts tests/worlds tests/utils/test_cli.py tests/test_layout.py tests/training/test_train.py
 ONE_TRAINING := 'not test_train.py or mistake or spoiled or folder_holds or tensorboard or in_a_run or process_itself'
 
 test-versions: $(INSTALLED) ## the tests that depend on the versions of Python and LeRobot

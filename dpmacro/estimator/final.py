@@ -7,10 +7,11 @@ import torch
 
 from dpmacro.boosting.loop import Round
 from dpmacro.discovery.candidates import Task, confidence
+from dpmacro.discovery.criteria import equally_good
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt
 from dpmacro.estimator.result import DPBoostResult
-from dpmacro.estimator.settling import FinalFit, settle
+from dpmacro.estimator.settling import FinalFit, Settled, settle
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import transition_counts
 
@@ -31,24 +32,27 @@ def finished(
         task: what is to be explained.
         discovery: candidates, one of which is to be kept; None for one macro-action everywhere.
         fit: what the final fit learns with. Where the changes of the candidate cannot be recognised, its
-            switch functions have no say in the segmentation.
+            switch functions have no say in the segmentation. Nor have they where actions are vectors and
+            what they make of it explains left-out actions worse than the candidate does.
         on_round: called after every boosting round.
     """
     labels, bound, runnable = torch.zeros(len(task.actions), dtype=torch.int64), 0, False
     if discovery is not None:
         labels = discovery.kept.labels.unique(return_inverse=True)[1]
         bound, runnable = discovery.kept.transitions(task.lengths), discovery.kept.scores.runnable
-    if not runnable or fit.weight == 0:  # switch functions then have no say in where changes lie
-        fit = replace(fit, weight=0.0, switches=replace(fit.switches, aligned=False))
+    apart = replace(fit, weight=0.0, switches=replace(fit.switches, aligned=False))
+    if not runnable or fit.weight == 0:
+        fit = apart
     elif discovery is not None:  # switch functions charge nats, and so the training loss is to be in nats
         fit = replace(fit, weight=fit.weight * task.loss.per_nat(discovery.kept.scale))
-    settled = settle(fit, replace(task, max_transitions=bound), labels, on_round)
-    sure, final = torch.ones(len(labels)), None
-    n_macros = int(settled.labels.max()) + 1
-    if n_macros > 1:
-        used = int(transition_counts(settled.labels, task.lengths).max())
-        own = replace(task, macros=n_macros, max_transitions=used)
-        final = adopt(data, own, settled.labels, on_round)
+    bounded = replace(task, max_transitions=bound)
+    settled = settle(fit, bounded, labels, on_round)
+    final = _judged(data, task, settled, on_round)
+    if task.vectors and fit.weight > 0 and not _explains(final, discovery):
+        settled = settle(apart, bounded, labels, on_round)
+        final = _judged(data, task, settled, on_round)
+    sure = torch.ones(len(labels))
+    if final is not None:
         sure = confidence(final.kept, final.task, settled.labels)
     return DPBoostResult(
         settled.labels,
@@ -65,3 +69,23 @@ def finished(
         discovery,
         final,
     )
+
+
+def _judged(
+    data: SortedLevels, task: Task, settled: Settled, on_round: Callable[[Round], None]
+) -> Discovery | None:
+    """What left-out data says of the labels that were settled on; None where they are one macro-action."""
+    n_macros = int(settled.labels.max()) + 1
+    if n_macros < 2:
+        return None
+    used = int(transition_counts(settled.labels, task.lengths).max())
+    return adopt(data, replace(task, macros=n_macros, max_transitions=used), settled.labels, on_round)
+
+
+def _explains(final: Discovery | None, discovery: Discovery | None) -> bool:
+    """Whether labels explain left-out actions as well as the candidate that they were made of."""
+    if discovery is None:
+        return True
+    if final is None:
+        return False
+    return 1 in equally_good([discovery.kept.scores.hindsight, final.kept.scores.hindsight])
