@@ -41,6 +41,7 @@ class Demonstrations:
         state_names: names of the numbers of every vector in `observations`.
         tasks: what there is to do, in words, by task_index; () where the data does not say.
         notes: what a user should know of the choices made in reading, a line each.
+        episodes: the dataset's numbers of the trajectories; () where they come from no dataset, or several.
     """
 
     observations: dict[str, np.ndarray]
@@ -58,6 +59,7 @@ class Demonstrations:
     state_names: dict[str, tuple[str, ...]] = field(default_factory=dict)
     tasks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    episodes: tuple[int, ...] = ()
 
     @classmethod
     def of_images(
@@ -153,6 +155,7 @@ class Demonstrations:
             actions=self.actions[frames],
             lengths=self.lengths[chosen],
             truth=None if self.truth is None else self.truth[frames],
+            episodes=tuple(self.episodes[index] for index in chosen) if self.episodes else (),
         )
 
     def joined(self, others: "Demonstrations") -> "Demonstrations":
@@ -194,4 +197,5 @@ class Demonstrations:
             truth=np.concatenate([self.truth, others.truth]) if same_truth else None,
             truth_name=self.truth_name if same_truth else None,
             truth_classes=max(self.truth_classes, others.truth_classes, key=len) if same_truth else (),
+            episodes=(),
         )

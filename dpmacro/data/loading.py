@@ -78,6 +78,7 @@ def load_parts(
             name: entry_names(store.features[name], values.shape[1]) for name, values in vectors.items()
         },
         "tasks": tasks,
+        "episodes": tuple(episode.index for episode in chosen),
         "notes": (*_notes(buffers, vectors, tasks, observations), *what.notes, *depths, *_disorder(rows)),
     }
 

@@ -57,8 +57,8 @@ def boosted(
     targets, n_problems = task.loss.targets(task.actions), len(starts) * task.macros
     boosting = Boosting(learner, targets, n_problems, shrinkage, generator, loss=task.loss)
     warmup = min(settings.warmup, settings.rounds // 2)
-    given = boosting, task.actions, task.lengths, starts, task.macros, task.max_transitions
-    return alternate(*given, settings.rounds, warmup, "discover", on_round, order=task.order)
+    given = boosting, task.actions, task.lengths, task.kept_to(starts), task.macros, task.max_transitions
+    return alternate(*given, settings.rounds, warmup, "discover", on_round, order=task.order, keep=task.held)
 
 
 def boosted_in_turn(
@@ -99,7 +99,7 @@ def raced(
     starts = torch.cat(list(kinds.values()))
     linear = linear_alternation(evidence, starts, moments)
     ended = linear.labels[linear.loss.argsort()]
-    entrants = torch.cat([starts, ended[distinct(ended)][: restarts // 2]])
+    entrants = field.task.kept_to(torch.cat([starts, ended[distinct(ended)][: restarts // 2]]))
     entrants = entrants[distinct(entrants)]
     found = boosted_in_turn(field.data, field.task, entrants, RACE, STEP, on_round)
     order = found.loss[-1].argsort()
@@ -128,7 +128,9 @@ def _field(data: SortedLevels, task: Task, generator: torch.Generator) -> Field:
     if bool(drawn.all()):
         return Field(data, task, True)
     frames = drawn.repeat_interleave(task.lengths).nonzero()[:, 0].to(data.levels.device)
-    own = replace(task, actions=task.actions[frames], lengths=task.lengths[drawn], groups=task.groups[drawn])
+    known = None if task.given is None else task.given[frames.cpu()]
+    parts = {"actions": task.actions[frames], "lengths": task.lengths[drawn], "groups": task.groups[drawn]}
+    own = replace(task, **parts, given=known)
     return Field(SortedLevels.unsorted(data.levels[:, frames]), own, False)
 
 
@@ -150,4 +152,4 @@ def _extended(
             for levels, own_targets in zip(data.levels.split(CHUNK, 1), targets.split(CHUNK), strict=True)
         ]
     )
-    return segment(costs, task.lengths, task.max_transitions, order=task.order).labels.cpu()
+    return segment(task.held(costs), task.lengths, task.max_transitions, order=task.order).labels.cpu()

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Int64
@@ -74,7 +75,8 @@ def resegmented(candidate: Candidate, task: Task, weight: float = 1.0) -> Int64[
     switches = candidate.switches
     extra = charges_of(switches.scores, switches.pairs, log_odds, task.lengths, weight)
     bound = min(task.max_transitions, candidate.transitions(task.lengths))
-    return segment(costs + extra.staying, task.lengths, bound, extra.changing, task.order).labels
+    held = replace(task, max_transitions=bound).held(costs + extra.staying, extra.changing)
+    return segment(held, task.lengths, bound, extra.changing, task.order).labels
 
 
 def simplified(

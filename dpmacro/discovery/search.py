@@ -137,11 +137,13 @@ def _scored(
     others = _as_they_are(data, task, restarts)
     if task.order == "chain":
         others = chained(others, task.lengths, task.macros)
-    labels = torch.cat([alternated.labels[order], others])
+    labels = torch.cat([alternated.labels[order], task.kept_to(others)])
     scored = score_candidates(data, task, labels[distinct(labels)], on_round)
     if settings.switch_weight > 0 and task.n_groups > 1:
         scored = recut(scored, data, task, settings.switch_weight, on_round)
-    return scored if task.order == "chain" else simplified(scored, data, task, on_round)
+    if task.order == "chain" or task.given is not None:  # macro-actions are then no fewer, and have names
+        return scored
+    return simplified(scored, data, task, on_round)
 
 
 def _as_they_are(data: SortedLevels, task: Task, restarts: int) -> Int64[Tensor, "candidates frames"]:
@@ -176,9 +178,10 @@ def _as_they_are(data: SortedLevels, task: Task, restarts: int) -> Int64[Tensor,
 def _smaller(task: Task) -> list[Task]:
     """The task with 2, 3, ... macro-actions and so many transitions as they need, up to the whole.
 
-    Of more than `EVERY` macro-actions a few numbers below serve for all.
+    Of more than `EVERY` macro-actions a few numbers below serve for all. A chain and given labels say how
+    many there are.
     """
-    if task.order == "chain":
+    if task.order == "chain" or task.given is not None:
         return [task]
     bound = task.max_transitions
     sizes = range(2, task.macros) if task.macros <= EVERY else sorted({2, EVERY, (task.macros + 1) // 2})

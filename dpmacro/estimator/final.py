@@ -42,12 +42,12 @@ def finished(
         fit = replace(fit, weight=0.0, switches=replace(fit.switches, aligned=False))
     elif discovery is not None:  # switch functions charge nats, and so the training loss is to be in nats
         fit = replace(fit, weight=fit.weight * task.loss.per_nat(discovery.kept.scale))
-    settled = settle(fit, replace(task, max_transitions=bound), labels, on_round)
+    settled = settle(fit, replace(task.numbered_as(labels), max_transitions=bound), labels, on_round)
     sure, final = torch.ones(len(labels)), None
     n_macros = int(settled.labels.max()) + 1
     if n_macros > 1:
         used = int(transition_counts(settled.labels, task.lengths).max())
-        own = replace(task, macros=n_macros, max_transitions=used)
+        own = replace(task.numbered_as(settled.labels), max_transitions=used)
         final = adopt(data, own, settled.labels, on_round)
         sure = confidence(final.kept, final.task, settled.labels)
     return DPBoostResult(
