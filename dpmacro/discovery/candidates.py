@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int64, Num
+from jaxtyping import Bool, Float, Int64, Num
 from torch import Tensor
 
 from dpmacro.boosting.crossfit import LeftOutScores, left_out_scores
@@ -263,11 +263,21 @@ def _scores(
         paid = charges[frames, causal]
         wrong = task.loss.error(fitted.macros[place][frames, causal], actions)
     told = charges[frames, _context(charges, labels, task)]
-    parts = [
-        part_sums(each, task.lengths, task.groups) for each in (paid, charges[frames, labels], told, alone)
-    ]
+    own = charges[frames, labels]
+    parts = [part_sums(each, task.lengths, task.groups) for each in (paid, own, told, alone)]
     causal_parts, hindsight, context, alone_parts = parts
-    return CandidateScores(switches.mean_recognised, causal_parts, wrong, hindsight, context, alone_parts)
+    given = None if task.given is None else _given_parts(own, task, task.known.held)
+    return CandidateScores(
+        switches.mean_recognised, causal_parts, wrong, hindsight, context, alone_parts, given
+    )
+
+
+def _given_parts(
+    charges: Float[Tensor, " frames"], task: Task, held: Bool[Tensor, " frames"]
+) -> Float[Tensor, " parts"]:
+    """What the frames are charged whose labels are given, in parts."""
+    counts = torch.stack([part.sum() for part in held.split(task.lengths.tolist())])
+    return part_sums(charges[held], counts[counts > 0], task.groups[counts > 0])
 
 
 def _context(

@@ -58,6 +58,8 @@ def recut(
 
 def _promise(candidate: Candidate, task: Task) -> tuple[bool, float]:
     """By which candidates are ordered, the most promising first: as they are chosen, but for equals."""
+    if candidate.scores.given is not None:
+        return False, float(candidate.scores.given.sum())
     if task.vectors:
         return False, float(candidate.scores.hindsight.sum())
     return not candidate.scores.runnable, float(candidate.scores.causal.sum())

@@ -17,7 +17,7 @@ from dpmacro.boosting.loop import Round
 from dpmacro.discovery.alternation import Alternated, pooled
 from dpmacro.discovery.candidates import Candidate, Task, distinct, score_candidates
 from dpmacro.discovery.criteria import best_candidate
-from dpmacro.discovery.race import boosted, boosted_in_turn, raced
+from dpmacro.discovery.race import boosted, boosted_in_turn, raced, taught
 from dpmacro.discovery.refinement import recut, simplified
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.settings import SearchSettings
@@ -102,6 +102,7 @@ def _alternated(
         starts = initial_segmentations(data.levels, task.actions, task.lengths, *bounds)
     if task.order == "chain":
         starts = chained(starts, task.lengths, task.macros)
+    starts = torch.cat([taught(data, task), starts])
     return boosted(data, task, starts, settings, shrinkage, generator, on_round)
 
 
@@ -137,7 +138,7 @@ def _scored(
     others = _as_they_are(data, task, restarts)
     if task.order == "chain":
         others = chained(others, task.lengths, task.macros)
-    labels = torch.cat([alternated.labels[order], task.kept_to(others)])
+    labels = torch.cat([alternated.labels[order], taught(data, task), task.kept_to(others)])
     scored = score_candidates(data, task, labels[distinct(labels)], on_round)
     if settings.switch_weight > 0 and task.n_groups > 1:
         scored = recut(scored, data, task, settings.switch_weight, on_round)
