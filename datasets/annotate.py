@@ -1,27 +1,57 @@
-"""Segment demonstrations with a saved policy, and look at the result.
+"""Cut demonstrations into stages, look at them, correct them, and write them where other tools read them.
 
-    python datasets/annotate.py --policy.path=outputs/train/.../checkpoints/last/pretrained_model \
-        --dataset.root=datasets/two_flags
+    python datasets/annotate.py --dataset.root=<LeRobot dataset> --output=<new dataset>
+    python datasets/annotate.py --dataset.root=... --policy.path=<a run's pretrained_model> --output=...
+    python datasets/annotate.py --dataset.root=... --output=... --corrections=<file saved from the page>
 
-Every frame gets a macro-action. The segmentation is the one under which the policy's classifiers explain the
-actions best, with the whole demonstration known. Where the dataset has a column of true labels, the agreement
-with it is printed. The page `segmentation.html` shows the result, `segmentation.json` holds its numbers, and
-`figures/` and TensorBoard events hold its pictures.
+Without a policy the stages are found first, as train.py finds them, and their number is chosen by the data.
+Every frame gets the stage under which the classifiers explain the actions best, with the whole demonstration
+known. The new dataset has all that the old one has, and the stages in the formats that the installed LeRobot
+reads. The page `segmentation.html` shows every demonstration, and people correct it there;
+`segmentation.json` holds numbers, `figures/` and TensorBoard events pictures. Where the dataset has a column
+of true labels, the agreement with it is printed.
 """
 
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
-from dpmacro.annotation.annotate import annotate
+from dpmacro.annotation.annotate import Annotation, annotate
+from dpmacro.annotation.corrections import Corrections
+from dpmacro.annotation.exports.dataset import write_labels
+from dpmacro.annotation.exports.folders import refuse_places
+from dpmacro.annotation.exports.formats import FORMATS
+from dpmacro.annotation.idle import idle_frames, moving_columns
+from dpmacro.annotation.naming import StageName, checked_names, stage_names
 from dpmacro.annotation.pictures import picture_count, pictures
-from dpmacro.annotation.report import NUMBERS, PAGE, SHOWN, score_text, write_report
+from dpmacro.annotation.report import NUMBERS, PAGE, SHOWN, score_text, stages_of, write_report
+from dpmacro.annotation.stages import Stages
 from dpmacro.annotation.summary import Summary
 from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.data.images import ImageTransform
 from dpmacro.policy.policy import MacroPolicy
+from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
+from dpmacro.training.run_folder import RunFolder
+from dpmacro.training.trainer import Trainer
 from dpmacro.utils import cli
+
+POLICYS_OWN = ("inputs", "camera", "action_relative", "image_size", "symmetric")  # options of a training
+
+
+@dataclass(frozen=True)
+class SearchOptions(PlannerOptions):
+    """How the stages are found where no policy is given; train.py's options."""
+
+    macros: int | str = "auto"
+    """Number of stages Q; auto chooses between 1 and max_macros by left-out data."""
+    order: str = "auto"
+    """Order of stages, free, chain for the same one in all demonstrations, or auto by the data."""
 
 
 @dataclass(frozen=True)
@@ -29,21 +59,19 @@ class PolicyOptions:
     """What segments the demonstrations."""
 
     path: Path | None = None
-    """Folder `pretrained_model` of a training run."""
+    """Folder `pretrained_model` of a training run; without it the stages are found first."""
 
 
 @dataclass(frozen=True)
-class DatasetOptions:
-    """Which demonstrations; their images are shrunk as the policy's were."""
+class PageOptions:
+    """The page on which people look and correct."""
 
-    root: Path | None = None
-    """Folder of a LeRobot dataset."""
-    episodes: list[int] | None = None
-    """Episodes to segment; all by default."""
-    action: list[str] | None = None
-    """Feature that holds the action, or several with a number each, as in training."""
-    truth: str | None = None
-    """Integer column with the true macro-labels to compare with; "none" or by default the recorded one."""
+    frames: int | None = None
+    """Images of a demonstration from every camera; by default 100, or 2 a second, as far as 18 MB allow."""
+
+    def __post_init__(self) -> None:
+        if self.frames is not None and self.frames < 1:
+            raise ValueError(f"page.frames is {self.frames}: give 1 or more")
 
 
 @dataclass(frozen=True)
@@ -52,30 +80,117 @@ class AnnotateOptions:
 
     policy: PolicyOptions = field(default_factory=PolicyOptions)
     dataset: DatasetOptions = field(default_factory=DatasetOptions)
+    planner: SearchOptions = field(default_factory=SearchOptions)
+    page: PageOptions = field(default_factory=PageOptions)
+    output: Path | None = None
+    """Folder of a new dataset with the stages; without it nothing but the page is written."""
+    formats: list[str] | None = None
+    """Formats of the new dataset's stages; by default those that the installed LeRobot reads, and csv."""
+    skip: bool = False
+    """Whether a format that cannot say what the stages are is left out, rather than an error."""
+    names: list[str] | None = None
+    """Names of the stages, like '[reach, carry, leave]'; by default made from what the data says."""
+    corrections: Path | None = None
+    """File of corrections, saved from the page, or the csv of an annotation before, edited."""
     tolerance: int = 10
     """Frames by which a found change point may miss a true one and still count."""
     seed: int = 0
-    """Seed of the random cuts, whose scores stand beside the policy's."""
+    """Seed of everything random."""
+    device: str = "cpu"
+    """PyTorch device that a training runs on, like cpu or cuda."""
     output_dir: Path | None = None
-    """Folder for the results; by default outputs/annotate/<date>/<time>_<dataset>."""
+    """Folder for the page; by default outputs/annotate/<date>/<time>_<dataset>."""
 
     def __post_init__(self) -> None:
-        if self.policy.path is None:
-            raise ValueError("no policy: give --policy.path=<a run's pretrained_model>")
         if self.dataset.root is None:
             raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
         for name in ("tolerance", "seed"):
             if getattr(self, name) < 0:
                 raise ValueError(f"--{name}={getattr(self, name)}: it must be at least 0")
+        for name in self.formats or []:
+            if name not in FORMATS:
+                raise ValueError(f"formats hold {name!r}: choose from {', '.join(FORMATS)}")
+        if self.formats is not None and self.output is None:
+            raise ValueError("formats are of a new dataset: give --output=<its folder>")
+        if self.names is not None:
+            checked_names(self.names)
+        if self.policy.path is not None:
+            self._refuse_what_the_policy_decides()
+
+    def _refuse_what_the_policy_decides(self) -> None:
+        pairs: list[tuple[str, str, Any, Any]] = [
+            ("dataset", name, self.dataset, DatasetOptions()) for name in POLICYS_OWN
+        ]
+        pairs += [("planner", one.name, self.planner, SearchOptions()) for one in fields(PlannerOptions)]
+        for group, name, own, default in pairs:
+            if getattr(own, name) != getattr(default, name):
+                raise ValueError(
+                    f"{group}.{name} is {getattr(own, name)!r}, and a policy is given, which decides that: "
+                    "leave one of them out"
+                )
+
+
+@dataclass(frozen=True)
+class Segmented:
+    """Demonstrations, a policy with what it says of them, and how that came about."""
+
+    demonstrations: Demonstrations
+    policy: MacroPolicy
+    annotation: Annotation
+    where: Path  # the policy's folder
+    notes: tuple[str, ...] = ()  # of the data and the search, for people
 
 
 def main(options: AnnotateOptions) -> None:
-    """Segment the demonstrations; print how that agrees with the truth, and write a report."""
-    path, dataset = options.policy.path, options.dataset
-    assert path is not None and dataset.root is not None, "the options checked it"
-    output_dir = options.output_dir or default_output_dir(dataset.root)
+    """Segment the demonstrations, report, and write the new dataset."""
+    root = options.dataset.root
+    assert root is not None, "the options checked it"
+    output_dir = options.output_dir or default_output_dir(root)
     if (output_dir / NUMBERS).exists():
         raise ValueError(f"{output_dir} already holds a {NUMBERS}: give another --output_dir")
+    if options.output is not None:
+        refuse_places(root, options.output)
+    corrections = None if options.corrections is None else Corrections.load(options.corrections)
+    segmented = trained(options, output_dir) if options.policy.path is None else by_policy(options)
+    demonstrations = segmented.demonstrations
+    summary = Summary(
+        segmented.policy,
+        demonstrations,
+        segmented.annotation,
+        demonstrations.numbers,
+        {"dataset": str(root), "policy": str(segmented.where)},
+        options.tolerance,
+        options.seed,
+    )
+    named = stage_names(demonstrations, summary.labels, segmented.policy.config.macros, options.names)
+    idle = idle_frames(moving_columns(demonstrations), demonstrations.lengths, demonstrations.fps)
+    stages = replace(stages_of(summary), names=tuple(one.name for one in named), idle=idle)
+    reasons = tuple(one.reason for one in named)
+    if corrections is not None:
+        stages = corrections.apply(stages)
+        reasons = reasons if len(stages.names) == len(reasons) else ()
+    written = None
+    if options.output is not None:  # before the pictures, which take longer: what is wrong is said at once
+        written = write_labels(root, options.output, stages, options.formats, skip=options.skip)
+    with tqdm(pictures(summary, SHOWN), "Pictures", picture_count(summary, SHOWN), unit="picture") as made:
+        write_report(summary, iter(made), output_dir, stages, options.page.frames, reasons=reasons)
+    for place, note in enumerate(segmented.notes):
+        print(f"{'' if place else 'data':<11} {note}")
+    print("\n".join(found_text(stages, named)))
+    if summary.scores:
+        print(score_text(summary))
+    if written is not None:
+        for note in written.notes:
+            print(f"{'note':<11} {note}")
+        print(f"{'dataset':<11} {written.root}, with {', '.join(('macro_action', *written.formats))}")
+    print(f"page        {output_dir / PAGE}")
+    print(f"pictures    {output_dir / 'figures'}")
+
+
+def by_policy(options: AnnotateOptions) -> Segmented:
+    """What a saved policy says of the demonstrations, read as its own were."""
+    path, dataset = options.policy.path, options.dataset
+    assert path is not None and dataset.root is not None, "the options checked it"
     policy = MacroPolicy.load(path)
     demonstrations = Demonstrations.load(
         dataset.root,
@@ -84,22 +199,58 @@ def main(options: AnnotateOptions) -> None:
         action=dataset.action,
         truth=dataset.truth,
         transform=policy.config.image_transform,
+        task=dataset.task,
     )
-    summary = Summary(
-        policy,
-        demonstrations,
-        annotate(policy, demonstrations),
-        tuple(dataset.episodes or range(len(demonstrations.lengths))),
-        {"dataset": str(dataset.root), "policy": str(path)},
-        options.tolerance,
-        options.seed,
+    return Segmented(demonstrations, policy, annotate(policy, demonstrations), path)
+
+
+def trained(options: AnnotateOptions, output_dir: Path) -> Segmented:
+    """Find the stages as train.py does; the confidence is that of classifiers that never saw a frame."""
+    dataset, planner = options.dataset, options.planner
+    assert dataset.root is not None, "the options checked it"
+    demonstrations = Demonstrations.load(
+        dataset.root,
+        dataset.episodes,
+        inputs=dataset.inputs,
+        camera=dataset.camera,
+        action=dataset.action,
+        truth=dataset.truth,
+        transform=ImageTransform(dataset.image_size, memory=planner.memory_limit),
+        task=dataset.task,
     )
-    with tqdm(pictures(summary, SHOWN), "Pictures", picture_count(summary, SHOWN), unit="picture") as made:
-        write_report(summary, iter(made), output_dir)
-    if summary.scores:
-        print(score_text(summary))
-    print(f"page        {output_dir / PAGE}")
-    print(f"pictures    {output_dir / 'figures'}")
+    training = TrainOptions(dataset=dataset, planner=planner, seed=options.seed, device=options.device)
+    result = Trainer(demonstrations, training, RunFolder(output_dir / "training")).train()
+    found = annotate(result.policy, demonstrations)
+    if bool((found.labels == result.found.labels).all()):
+        found = replace(found, confidence=result.found.confidence)
+    notes = result.notes
+    if result.choice is not None:
+        macros, bound = result.choice.setting
+        notes += (f"{macros} stages with at most {bound} changes, chosen by data that was left out",)
+    return Segmented(demonstrations, result.policy, found, result.pretrained, notes)
+
+
+def found_text(stages: Stages, named: Sequence[StageName]) -> list[str]:
+    """The stages, their order and what stands still, a line each."""
+    frames = np.bincount(stages.labels, minlength=len(stages.names))
+    reasons = {one.name: one.reason for one in named}
+    lines = []
+    for k, name in enumerate(stages.names):
+        told = f"{name}, {frames[k] / frames.sum():.0%} of the frames. {reasons.get(name, '')}"
+        lines.append(f"{f'stage {k}':<11} {told.rstrip()}")
+    orders = Counter(tuple(label for label, _, _ in one) for one in stages.segments)
+    order, count = orders.most_common(1)[0]
+    listed = ", ".join(stages.names[label] for label in order[:8]) + ", ..." * (len(order) > 8)
+    if count == len(stages.lengths) and len(set(order)) == len(order):
+        lines.append(f"{'order':<11} the same in all {count} demonstrations, each stage once: {listed}")
+    else:
+        lines.append(f"{'order':<11} {len(orders)} orders; {count} of {len(stages.lengths)} have {listed}")
+        lines.append(f"{'':<11} (--planner.order=chain finds stages in one order, each once)")
+    lines.append(f"{'idle':<11} {stages.idle.mean():.1%} of the frames: nothing moves for a second or more")
+    if stages.corrected.any():
+        parts = sum(bool(stages.corrected[part].any()) for part in stages.trajectories)
+        lines.append(f"{'corrected':<11} {parts} demonstrations by a person")
+    return lines
 
 
 def default_output_dir(root: Path) -> Path:

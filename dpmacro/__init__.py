@@ -9,6 +9,8 @@ import typing as _typing
 
 if _typing.TYPE_CHECKING:
     from dpmacro.annotation.annotate import Annotation, annotate
+    from dpmacro.annotation.exports.dataset import write_labels
+    from dpmacro.annotation.stages import Stages
     from dpmacro.data.demonstrations import Demonstrations
     from dpmacro.estimator.dpboost import DPBoost
     from dpmacro.estimator.result import DPBoostResult
@@ -22,8 +24,10 @@ __all__ = [
     "Demonstrations",
     "MacroPolicy",
     "Segmentation",
+    "Stages",
     "annotate",
     "segment",
+    "write_labels",
 ]
 
 _MODULE_OF = {
@@ -33,8 +37,10 @@ _MODULE_OF = {
     "Demonstrations": "dpmacro.data.demonstrations",
     "MacroPolicy": "dpmacro.policy.policy",
     "Segmentation": "dpmacro.segmentation.recursion",
+    "Stages": "dpmacro.annotation.stages",
     "annotate": "dpmacro.annotation.annotate",
     "segment": "dpmacro.segmentation.recursion",
+    "write_labels": "dpmacro.annotation.exports.dataset",
 }
 
 

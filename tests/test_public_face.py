@@ -22,8 +22,10 @@ NAMES = [
     "Demonstrations",
     "MacroPolicy",
     "Segmentation",
+    "Stages",
     "annotate",
     "segment",
+    "write_labels",
 ]
 SECONDS = 0.5  # of a processor, at most, over importing torch
 

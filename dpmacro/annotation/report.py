@@ -1,38 +1,57 @@
-"""The report on a segmentation: pictures as PNG and in TensorBoard, its numbers as JSON, one HTML page."""
+"""The report on a segmentation: pictures as PNG and in TensorBoard, its numbers as JSON, the page."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Int64, UInt8
 from torch.utils.tensorboard import SummaryWriter
 
 from dpmacro import figures
 from dpmacro.annotation import html
+from dpmacro.annotation.page.shown import Curves, Images, Shown, Truth
+from dpmacro.annotation.page.write import write_page
 from dpmacro.annotation.pictures import Picture, importances
+from dpmacro.annotation.stages import Stages
 from dpmacro.annotation.summary import SCORES, Summary
 from dpmacro.features.base import input_name
 from dpmacro.policy.config import InputConfig
 from dpmacro.utils.files import replacing
 
-__all__ = ["NUMBERS", "PAGE", "SHOWN", "score_text", "write_report"]
+__all__ = ["NUMBERS", "PAGE", "SHOWN", "score_text", "shown_beside", "stages_of", "write_report"]
 
 SHOWN = 30  # demonstrations with a picture of their own at most
-UNSURE = 10  # demonstrations in the table of those with the least confidence
 LISTED = 12  # names of actions at most
+STRIPS = ("All demonstrations", "Demonstrations")  # headings of pictures that the page's strips replace
 PAGE, NUMBERS = "segmentation.html", "segmentation.json"
 
 
-def write_report(summary: Summary, made: Iterator[Picture], folder: Path) -> None:
+def write_report(
+    summary: Summary,
+    made: Iterator[Picture],
+    folder: Path,
+    stages: Stages | None = None,
+    frames: int | None = None,
+    cameras: Mapping[str, Images] | None = None,
+    reasons: tuple[str, ...] = (),
+) -> None:
     """Write figures/*.png, tensorboard/, segmentation.json and segmentation.html into `folder`.
 
     Args:
         summary: what the numbers are taken from.
-        made: the pictures, shown in their order; each is drawn, written and dropped before the next.
+        made: the pictures, in their order; each is drawn, written and dropped before the next. Those that
+            the page's strips show better (`STRIPS`) are not on the page.
         folder: made where it does not exist.
+        stages: what the page shows and a person corrects; `stages_of(summary)` by default.
+        frames: pictures of a demonstration and camera on the page at most; 0 for none.
+        cameras: where the page's pictures come from; the summary's images by default.
+        reasons: why the stages have their names.
     """
-    shown: list[tuple[str, str]] = []
+    report: list[tuple[str, str]] = []
     with SummaryWriter(str(folder / "tensorboard")) as writer:
         for method, scores in summary.scores.items():
             group = "segmentation" if method == "policy" else f"segmentation/{method.replace(' ', '_')}"
@@ -44,12 +63,59 @@ def write_report(summary: Summary, made: Iterator[Picture], folder: Path) -> Non
                 path.write_bytes(png)
             image = figures.to_image(picture.figure)
             writer.add_image(f"figures/{picture.name}", image, 0, dataformats="HWC")
-            shown.append((picture.heading, html.picture(png, picture.alt, picture.caption)))
+            if picture.heading not in STRIPS:
+                report.append((picture.heading, html.picture(png, picture.alt, picture.caption)))
     with replacing(folder / NUMBERS) as path:
         path.write_text(json.dumps(summary.as_json(), indent=2) + "\n")
-    title = f"Segmentation of {summary.demonstrations.root.resolve().name}"
-    with replacing(folder / PAGE) as path:
-        path.write_text(html.page(title, _parts(summary, shown)), encoding="utf-8")
+    shown = shown_beside(summary, "".join(_parts(summary, report)), cameras, reasons)
+    name = summary.demonstrations.root.resolve().name
+    write_page(folder / PAGE, stages or stages_of(summary), name, shown, frames)
+
+
+def stages_of(summary: Summary) -> Stages:
+    """The macro-actions of a segmentation as stages named by their numbers, none idle, none corrected."""
+    lengths, fps, n_frames = summary.lengths, float(summary.demonstrations.fps), len(summary.labels)
+    within = np.arange(n_frames) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    return Stages(
+        labels=summary.labels,
+        confidence=summary.frame_confidence,
+        idle=np.zeros(n_frames, bool),
+        corrected=np.zeros(n_frames, bool),
+        names=tuple(f"macro-action {macro}" for macro in range(summary.policy.config.macros)),
+        lengths=lengths,
+        episodes=summary.episodes,
+        timestamps=within / fps,
+        fps=fps,
+    )
+
+
+def shown_beside(
+    summary: Summary,
+    report: str,
+    cameras: Mapping[str, Images] | None = None,
+    reasons: tuple[str, ...] = (),
+) -> Shown:
+    """What the page shows beside the stages: truth, the numbers of actions and states, images, the report."""
+    demonstrations = summary.demonstrations
+    truth, curves = None, []
+    if demonstrations.truth is not None:
+        known = demonstrations.truth_classes
+        names = (*known, *map(str, range(len(known), int(demonstrations.truth.max()) + 1)))
+        truth = Truth(demonstrations.truth, names, demonstrations.truth_name or "truth")
+    if demonstrations.vector:
+        curves.append(Curves(demonstrations.actions, demonstrations.action_names))
+    for key, names in demonstrations.state_names.items():
+        named = tuple(f"{input_name(key)} {name}" for name in names)
+        curves.append(Curves(demonstrations.observations[key], named))
+    if cameras is None:
+        cameras = {input_name(key): partial(_images, summary, key) for key in demonstrations.cameras}
+    return Shown(truth, tuple(curves), cameras, reasons, _facts(summary), report)
+
+
+def _images(
+    summary: Summary, camera: str, frames: Int64[np.ndarray, " chosen"]
+) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    return (summary.demonstrations.observations[camera][frame] for frame in frames)
 
 
 def score_text(summary: Summary) -> str:
@@ -68,18 +134,12 @@ def _score_rows(summary: Summary) -> list[list[str]]:
     ]
 
 
-def _parts(summary: Summary, shown: list[tuple[str, str]]) -> Iterator[str]:
-    """The page from top to bottom."""
-    lengths = summary.lengths
-    yield html.facts(_facts(summary))
+def _parts(summary: Summary, report: list[tuple[str, str]]) -> Iterator[str]:
+    """The report from top to bottom."""
     yield html.section("Scores", _scores(summary))
     yield html.section("Macro-actions", [_macros(summary)])
-    yield html.section("Where to look first", [_least_sure(summary)])
-    for heading, group in groupby(shown, key=lambda headed: headed[0]):
-        parts = [part for _, part in group]
-        if heading == "Demonstrations" and len(parts) < len(lengths):
-            parts.insert(0, html.paragraph(f"The first {len(parts)} of {len(lengths)}."))
-        yield html.section(heading, parts)
+    for heading, group in groupby(report, key=lambda headed: headed[0]):
+        yield html.section(heading, [part for _, part in group])
     if importances(summary.policy) is None:
         text = "The classifiers are networks. They look at whole images, so there is no map of chosen pixels."
         yield html.section("What the classifiers look at", [html.paragraph(text)])
@@ -154,25 +214,6 @@ def _usual(macro: dict[str, Any]) -> str:
     most = max(macro["dimensions"], key=lambda dimension: abs(dimension["deviations"]))
     way = "high" if most["deviations"] > 0 else "low"
     return f"{most['name']} {way}, {most['deviations']:+.1f} sd"
-
-
-def _least_sure(summary: Summary) -> str:
-    order = sorted(range(len(summary.episodes)), key=lambda place: summary.confidence[place])[:UNSURE]
-    head = ["demonstration", "frames", "segments", "confidence"]
-    rows = [
-        [
-            str(summary.episodes[place]),
-            str(summary.lengths[place]),
-            str(len(summary.segments[place])),
-            f"{summary.confidence[place]:.2f}",
-        ]
-        for place in order
-    ]
-    if summary.agreement is not None:
-        head.append("frames that agree")
-        for row, place in zip(rows, order, strict=True):
-            row.append(f"{summary.agreement[place]:.1%}")
-    return html.table(head, rows, f"The {len(rows)} demonstrations with the least mean confidence.")
 
 
 def _score(name: str, value: float) -> str:

@@ -41,7 +41,7 @@ class Demonstrations:
         state_names: names of the numbers of every vector in `observations`.
         tasks: what there is to do, in words, by task_index; () where the data does not say.
         notes: what a user should know of the choices made in reading, a line each.
-        episodes: the dataset's numbers of the trajectories; () where they come from no dataset, or several.
+        episodes: the dataset's numbers of the trajectories; () where the data does not say.
     """
 
     observations: dict[str, np.ndarray]
@@ -114,6 +114,11 @@ class Demonstrations:
     def vector(self) -> bool:
         """Whether actions are vectors of numbers rather than classes."""
         return self.actions.ndim == 2
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The dataset's numbers of the trajectories, 0, 1, ... where the data does not say."""
+        return self.episodes or tuple(range(len(self.lengths)))
 
     @property
     def cameras(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from dpmacro.discovery.starts.vectors import evidence_of, vector_starts
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 
-__all__ = ["boosted", "boosted_in_turn", "raced", "taught"]
+__all__ = ["boosted", "boosted_in_turn", "field_of", "raced", "taught"]
 
 RACE = SearchSettings(rounds=20, warmup=10, drawn=24)
 STEP = 0.5  # shrinkage of the race
@@ -92,7 +92,7 @@ def raced(
     random, and fewer survive; classifiers of each label the rest.
     """
     generator = torch.Generator().manual_seed(task.seed)
-    field = _field(data, task, generator)
+    field = field_of(data, task, generator)
     evidence = evidence_of(field.data.levels, field.task, generator)
     moments = Moments(evidence)
     kinds = vector_starts(field.data.levels, evidence, moments, restarts, generator)
@@ -128,7 +128,7 @@ def _most(task: Task) -> int:
     return max(CELLS // (task.macros * (task.actions.shape[1] + 1)), 1)
 
 
-def _field(data: SortedLevels, task: Task, generator: torch.Generator) -> Field:
+def field_of(data: SortedLevels, task: Task, generator: torch.Generator) -> Field:
     """All trajectories, or random ones until they have `_most` frames, the last one whole."""
     most = _most(task)
     if data.n_frames <= most:

@@ -10,6 +10,7 @@ from dpmacro.annotation.corrections import Corrections
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.segmentation.given import FREE, GivenLabels
 from dpmacro.training.options import TrainOptions
+from dpmacro.utils.checks import ArrayLike
 
 __all__ = ["labelled"]
 
@@ -21,6 +22,7 @@ def labelled(
 
     Of every frame the place of its stage among the names of the file, -1 in demonstrations that nobody
     corrected; None without a file. Where the number of macro-actions was left out it is that of the names.
+    Where the data is to choose the order and the labels are in no chain, it is free.
 
     Args:
         options: of the training.
@@ -51,9 +53,21 @@ def labelled(
         raise ValueError(
             "planner.max_transitions is 0 beside dataset.labels: give 1 or more, or leave it out"
         )
-    given = labels, demonstrations.lengths, macros, bound, planner.order, demonstrations.episodes
+    given, order = (labels, demonstrations.lengths, macros), planner.order
+    if order == "auto" and not _in_a_chain(*given):
+        order = "free"
+    searched = "free" if order == "auto" else order
     try:
-        kept = GivenLabels.of(*given)
+        kept = GivenLabels.of(*given, bound, searched, demonstrations.episodes)
     except ValueError as error:
         raise ValueError(f"{path}, {error}") from error
-    return replace(options, planner=replace(planner, macros=macros)), kept.labels
+    return replace(options, planner=replace(planner, macros=macros, order=order)), kept.labels
+
+
+def _in_a_chain(labels: Int64[Tensor, " frames"], lengths: ArrayLike, macros: int) -> bool:
+    """Whether some chain 0, 1, ... of all macro-actions has these labels."""
+    try:
+        GivenLabels.of(labels, lengths, macros, macros - 1, "chain")
+    except ValueError:
+        return False
+    return True

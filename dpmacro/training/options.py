@@ -98,7 +98,7 @@ class PlannerOptions:
     max_macros: int = 4
     """Largest number of macro-actions that macros=auto tries."""
     order: str = "free"
-    """Order of macro-actions, free, or chain for 0, 1, ..., Q - 1 in every demonstration, each once."""
+    """Order of macro-actions, free, chain for 0, 1, ..., Q - 1 in each demonstration, or auto by the data."""
     loss: str = "huber"
     """Loss of action vectors, huber or squared; discrete actions have the exponential loss."""
     max_transitions: int | None = None
@@ -147,7 +147,7 @@ class PlannerOptions:
             _take_from_paper(self)
         if self.type not in PLANNERS:
             raise ValueError(f"planner.type is {self.type!r}: choose one of {', '.join(PLANNERS)}")
-        for name, known in (("loss", LOSSES), ("order", ORDERS)):
+        for name, known in (("loss", LOSSES), ("order", (*ORDERS, "auto"))):
             if getattr(self, name) not in known:
                 raise ValueError(
                     f"planner.{name} is {getattr(self, name)!r}: choose one of {', '.join(known)}"

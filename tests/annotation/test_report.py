@@ -4,14 +4,16 @@ import json
 from dataclasses import replace
 
 import matplotlib.image
+import numpy as np
 import pytest
 from segmented import FRONT, STATE, TOP, some_summary
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dpmacro.annotation.pictures import pictures
-from dpmacro.annotation.report import score_text, write_report
+from dpmacro.annotation.report import score_text, stages_of, write_report
 from dpmacro.annotation.summary import SCORES
 from dpmacro.policy.config import InputConfig
+from tests.annotation.page.reading import data_of, labels_of
 from tests.annotation.test_html import Reader
 
 NAMES = {"segmentation", "transitions", "elbow", "pixels"}
@@ -25,25 +27,51 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_the_page_shows_every_picture_and_score(folder):
+def test_the_page_shows_every_score_and_the_pictures_that_strips_do_not_replace(folder):
     document = (folder / "segmentation.html").read_text(encoding="utf-8")
     reader = Reader(document)
     text = "".join(reader.texts)
-    assert "Segmentation of noise & more" in text and "runs/<one>" in text
-    assert "The first 2 of 3." in text
+    assert "Stages of noise & more" in text and "runs/<one>" in text
     assert all(name in text for name in SCORES.values())
     assert "turn <left>" in text or "forward" in text or "turn right" in text
     images = reader.of("img")
-    assert len(images) == 6 and all(image["alt"] for image in images)
+    assert len(images) == 3 and all(image["alt"] for image in images)
     assert all(image["src"].startswith("data:image/png;base64,") for image in images)
-    headings = [tag for tag, _ in reader.elements].count("h2")
-    assert headings == 8  # scores, macro-actions, where to look, five kinds of pictures
+    headings = [tag for tag, _ in reader.elements].count("h3")
+    assert headings == 5  # scores, macro-actions, three kinds of pictures
 
 
-def test_the_least_sure_demonstration_comes_first(folder):
-    text = "".join(Reader((folder / "segmentation.html").read_text()).texts)
-    table = text[text.index("Where to look first") : text.index("All demonstrations")]
-    assert table.index("7720.25100.0%") < table.index("4122") < table.index("592")
+def test_the_page_holds_the_segmentation_truth_and_images(folder):
+    summary, data = some_summary(), data_of((folder / "segmentation.html").read_text(encoding="utf-8"))
+    rows = data["demonstrations"]
+    assert [row["episode"] for row in rows] == [4, 7, 5] and data["dataset"] == "noise & more"
+    labels, truth = (
+        np.concatenate([labels_of(row[name], row["frames"]) for row in rows])
+        for name in ("segments", "truth")
+    )
+    assert np.array_equal(labels, summary.labels)
+    assert np.array_equal(truth, summary.demonstrations.truth)
+    assert data["names"] == ["macro-action 0", "macro-action 1", "macro-action 2"]
+    assert data["truth"] == {"column": "phase", "names": ["before", "after"]}
+    assert data["cameras"] == ["image"] and data["curves"] == []
+    assert [len(row["sheets"][0][0]["frames"]) for row in rows] == [12, 7, 9]
+
+
+def test_other_stages_and_fewer_pictures_can_be_given(tmp_path):
+    summary = some_summary(keys=(STATE, FRONT), vector=True)
+    names = ("reach", "grasp", "carry")
+    stages = replace(stages_of(summary), names=names, corrected=np.ones(28, bool))
+    write_report(summary, iter([]), tmp_path, stages, frames=2, reasons=("x", "y", "z"))
+    data = data_of((tmp_path / "segmentation.html").read_text(encoding="utf-8"))
+    assert tuple(data["names"]) == names and data["reasons"] == ["x", "y", "z"]
+    assert [row["corrected"] for row in data["demonstrations"]] == [[[0, 12]], [[0, 7]], [[0, 9]]]
+    assert [len(row["sheets"][0][0]["frames"]) for row in data["demonstrations"]] == [2, 2, 2]
+    assert [axis["name"] for axis in data["curves"]] == [
+        *("dx", "dy", "gripper", "never moves"),
+        *(f"state {name}" for name in ("shoulder", "elbow", "wrist", "gripper.pos")),
+    ]
+    (found,) = {row["seconds"] for row in data["demonstrations"]}
+    assert found is None and data["fps"] == 30
 
 
 def test_pictures_numbers_and_events(folder):

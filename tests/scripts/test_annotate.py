@@ -4,13 +4,20 @@ import importlib.util
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from noise import PHASES, random_episodes
 from segmented import random_policy
 
+from dpmacro.annotation.annotate import annotate
+from dpmacro.annotation.exports.labelling import read_labels
+from dpmacro.boosting import crossfit
+from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.lerobot.writer import AVATAR, DemonstrationWriter
+from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils import cli
 from dpmacro.worlds.two_flags.env import ACTIONS
 
@@ -41,14 +48,28 @@ def call(script, monkeypatch, *options):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--dataset.root=x"], "no policy: give --policy.path"),
+        (["--dataset.root=x"], "dataset x: no such folder"),
+        (["--dataset.root=x", "--page.frames=0"], "page.frames is 0: give 1 or more"),
+        (["--dataset.root=x", "--formats=[csv]"], "formats are of a new dataset: give --output"),
+        (["--dataset.root=x", "--output=y", "--formats=[xml]"], "formats hold 'xml': choose from"),
+        (["--dataset.root=x", "--names=[reach, reach]"], "give every stage a name of its own"),
+        (["--dataset.root=x", "--corrections=y.json"], "y.json"),
+        (["--dataset.root=x", "--output=x/y"], "x/y"),
         (["--policy.path=x"], "no demonstrations: give --dataset.root"),
         (["--policy.path=x", "--dataset.root=y"], "x holds no config.json"),
         (["--policy.path=x", "--dataset.root=y", "--tolerance=-1"], "--tolerance=-1: it must be at least 0"),
         (["--policy.path=x", "--dataset.root=y", "--seed=-1"], "--seed=-1: it must be at least 0"),
         *(
             (["--policy.path=x", "--dataset.root=y", option], f"unknown option {option.split('=')[0]}")
-            for option in ("--episodes=5", "--policy.recovery=true", "--dataset.image_size=[8,6]")
+            for option in ("--episodes=5", "--policy.recovery=true")
+        ),
+        (
+            ["--policy.path=x", "--dataset.root=y", "--dataset.image_size=[8,6]"],
+            "dataset.image_size is (8, 6), and a policy is given, which decides that",
+        ),
+        (
+            ["--policy.path=x", "--dataset.root=y", "--planner.macros=3"],
+            "planner.macros is 3, and a policy is given, which decides that",
         ),
     ],
 )
@@ -105,3 +126,73 @@ def test_a_dataset_of_another_size_is_refused(script, policy, tmp_path, monkeypa
     error = capsys.readouterr().err
     assert exit_.value.code == 2 and "images are 32x24, the policy was trained on 64x48" in error
     assert error.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def quick_search(monkeypatch):
+    """A few rounds of everything: the tests look at what is connected to what."""
+    for name in ("CLASSES", "VECTORS"):
+        monkeypatch.setattr(crossfit, name, replace(getattr(crossfit, name), shared=3, own=3))
+
+
+SMALL = ["--planner.macros=2", "--planner.rounds=5", "--planner.switch_rounds=5", "--planner.restarts=2"]
+
+
+def test_stages_are_found_written_corrected_and_written_again(
+    script, quick_search, recorded, tmp_path, monkeypatch, capsys
+):
+    """From a dataset to a new one, a person's correction, and another one: only the correction differs."""
+    options = [f"--dataset.root={recorded}", *SMALL, "--planner.rectangles=32", "--names=[first, second]"]
+    first, second = tmp_path / "first", tmp_path / "second"
+    call(script, monkeypatch, *options, f"--output={first}", f"--output_dir={tmp_path / 'page'}")
+    told = capsys.readouterr().out
+    assert "stage 0     first" in told and f"dataset     {first}" in told and "idle " in told
+    stages = read_labels(first)
+    assert stages.names == ("first", "second") and not stages.corrected.any()
+    policy = tmp_path / "page/training/checkpoints/last/pretrained_model"
+    again = annotate(MacroPolicy.load(policy), Demonstrations.load(recorded))
+    assert stages.labels.tolist() == again.labels.tolist(), "what the policy says of the same demonstrations"
+    corrections = tmp_path / "corrections.json"
+    corrections.write_text(
+        json.dumps(
+            {
+                "format": "dpmacro corrections 1",
+                "dataset": recorded.name,
+                "fps": stages.fps,
+                "names": ["reach", "leave"],
+                "renamed": [[0, 0], [1, 1]],
+                "episodes": [
+                    {
+                        "episode": 1,
+                        "frames": 7,
+                        "segments": [{"start": 0, "end": 3, "label": 1}, {"start": 3, "end": 7, "label": 0}],
+                    }
+                ],
+            }
+        )
+    )
+    options = [f"--dataset.root={recorded}", f"--policy.path={policy}", f"--corrections={corrections}"]
+    call(script, monkeypatch, *options, f"--output={second}", f"--output_dir={tmp_path / 'again'}")
+    assert "corrected   1 demonstrations by a person" in capsys.readouterr().out
+    corrected = read_labels(second)
+    part = corrected.trajectories[1]
+    assert corrected.names == ("reach", "leave")
+    assert corrected.labels[part].tolist() == [1] * 3 + [0] * 4 and bool(corrected.corrected[part].all())
+    others = np.delete(np.arange(len(stages.labels)), np.r_[part])
+    assert corrected.labels[others].tolist() == stages.labels[others].tolist()
+    assert not corrected.corrected[others].any() and bool((corrected.confidence[part] == 1).all())
+    rows = (second / "labels.csv").read_text().splitlines()
+    assert len(rows) == 1 + sum(map(len, corrected.segments)) and sum("person" in row for row in rows) == 2
+
+
+def test_what_cannot_be_written_is_said_before_anything_is_drawn(
+    script, quick_search, recorded, tmp_path, monkeypatch, capsys
+):
+    options = [f"--dataset.root={recorded}", *SMALL, "--planner.rectangles=32", "--dataset.episodes=[1,3]"]
+    with pytest.raises(SystemExit) as exit_:
+        call(
+            script, monkeypatch, *options, f"--output={tmp_path / 'new'}", f"--output_dir={tmp_path / 'page'}"
+        )
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert exit_.value.code == 2 and "have no labels" in error and not (tmp_path / "new").exists()
+    assert not (tmp_path / "page/segmentation.html").exists()

@@ -135,6 +135,13 @@ def test_without_a_file_there_are_two_macro_actions_as_ever(data):
     assert demonstrations.joined(demonstrations).episodes == ()
 
 
+@pytest.mark.parametrize(("labels", "order"), [((0, 1), "auto"), ((1, 0), "free")])
+def test_the_data_chooses_an_order_only_where_the_labels_leave_it_open(data, tmp_path, labels, order):
+    dataset = DatasetOptions(root=data, labels=page(tmp_path, cut(3, 9, labels=labels)))
+    options = TrainOptions(dataset, PlannerOptions(order="auto"))
+    assert labelled(options, Demonstrations.load(data))[0].planner.order == order
+
+
 def test_a_trainer_asks_for_the_number_that_the_names_are(data, tmp_path):
     options = TrainOptions(DatasetOptions(root=data, labels=tmp_path / "labels.json"), PlannerOptions())
     with pytest.raises(ValueError, match=r"planner.macros is not given: give"):

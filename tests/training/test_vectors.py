@@ -73,6 +73,20 @@ def test_a_dataset_of_vectors_from_files_to_a_policy(tmp_path, capsys, images, o
     assert action.shape == (3,) and action[2] == pytest.approx(4.0)
 
 
+def test_the_order_of_stages_is_asked_of_the_data(tmp_path, capsys):
+    root, run = dataset(tmp_path / "data", False), tmp_path / "run"
+    auto = ["--planner.order=auto", "--planner.macros=auto", "--planner.max_macros=2"]
+    train(f"--dataset.root={root}", f"--output_dir={run}", *auto, *TINY)
+    printed = capsys.readouterr().out
+    assert "order chain: with 2 stages in one order for all demonstrations linear models leave" in printed
+    assert "Q=2 S=1" in printed and "S=2" not in printed, "a chain has one number of changes"
+    assert MacroPolicy.load(run / "checkpoints/last/pretrained_model").config.order == "chain"
+    bound = ["--planner.order=auto", "--planner.max_transitions=2", *TINY]
+    train(f"--dataset.root={root}", f"--output_dir={tmp_path / 'bound'}", *bound)
+    policy = MacroPolicy.load(tmp_path / "bound/checkpoints/last/pretrained_model")
+    assert policy.config.order == "free", "a number of changes that a chain has not was asked for"
+
+
 @pytest.mark.parametrize(
     ("option", "message"),
     [
@@ -84,7 +98,7 @@ def test_a_dataset_of_vectors_from_files_to_a_policy(tmp_path, capsys, images, o
             "--dataset.action_relative=often",
             "dataset.action_relative is 'often': choose one of auto, true, false",
         ),
-        ("--planner.order=line", "planner.order is 'line': choose one of free, chain"),
+        ("--planner.order=line", "planner.order is 'line': choose one of free, chain, auto"),
         ("--dataset.inputs=[observation.pose]", "no input 'observation.pose'"),
         ("--dataset.action=[torque]", "torque"),
         ("--planner.macros=23", "frames"),

@@ -1,0 +1,1 @@
+"""One HTML page that opens from disk: demonstrations as strips of stages, for people to correct."""
