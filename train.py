@@ -2,10 +2,13 @@
 
     python train.py --dataset.root=datasets/two_flags --planner.type=dpboost --planner.macros=2
     python train.py --dataset.root=datasets/two_flags --planner.type=baseline
+    python train.py --dataset.root=datasets/two_flags --dataset.labels=corrections.json
     python train.py --dataset.root=datasets/two_flags --dagger.iterations=5
 
 Finds macro-actions, fits a strong classifier to each and switch functions between them, and saves a policy
 for eval.py in `<output_dir>/checkpoints/last/pretrained_model`, pictures and TensorBoard events beside it.
+With `--dataset.labels`, a file of corrections, the demonstrations in it keep their labels and the others are
+cut anew.
 With `--dagger.iterations` the planner then runs in its world, the world's teacher labels those runs with
 actions, and training repeats with them; the planner that succeeds most in validation worlds is kept.
 """
@@ -21,6 +24,7 @@ from dpmacro.data.images import ImageTransform
 from dpmacro.discovery.model_order import Choice
 from dpmacro.metrics import boundary_counts, frame_accuracy
 from dpmacro.metrics.success import wilson_interval
+from dpmacro.training.labels import labelled
 from dpmacro.training.options import TrainOptions
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer, TrainingResult
@@ -48,6 +52,7 @@ def main(options: TrainOptions) -> None:
         transform=transform,
         task=dataset.task,
     )
+    options, given = labelled(options, demonstrations)
     started = time.perf_counter()
     if options.dagger.iterations:
         from dpmacro.training.dagger import aggregate  # worlds and their teachers: a second of imports
@@ -56,7 +61,7 @@ def main(options: TrainOptions) -> None:
             demonstrations, options, folder, lambda done: tqdm.write(dagger_report(done))
         ).result
     else:
-        result = Trainer(demonstrations, options, folder).train()
+        result = Trainer(demonstrations, options, folder, given).train()
     print(report(result, folder, time.perf_counter() - started))
     if demonstrations.truth is not None:
         labels = result.found.labels.numpy()[: len(demonstrations.truth)]  # DAgger appends others

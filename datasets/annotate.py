@@ -36,19 +36,20 @@ from dpmacro.annotation.summary import Summary
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.images import ImageTransform
 from dpmacro.policy.policy import MacroPolicy
+from dpmacro.training.labels import labelled
 from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer
 from dpmacro.utils import cli
 
-POLICYS_OWN = ("inputs", "camera", "action_relative", "image_size", "symmetric")  # options of a training
+POLICYS_OWN = ("inputs", "camera", "action_relative", "image_size", "symmetric", "labels")  # options of a training
 
 
 @dataclass(frozen=True)
 class SearchOptions(PlannerOptions):
     """How the stages are found where no policy is given; train.py's options."""
 
-    macros: int | str = "auto"
+    macros: int | str | None = "auto"
     """Number of stages Q; auto chooses between 1 and max_macros by left-out data."""
     order: str = "auto"
     """Order of stages, free, chain for the same one in all demonstrations, or auto by the data."""
@@ -218,8 +219,11 @@ def trained(options: AnnotateOptions, output_dir: Path) -> Segmented:
         transform=ImageTransform(dataset.image_size, memory=planner.memory_limit),
         task=dataset.task,
     )
+    if dataset.labels is not None and planner.macros == "auto":
+        planner = replace(planner, macros=None)  # as many as the labels have names
     training = TrainOptions(dataset=dataset, planner=planner, seed=options.seed, device=options.device)
-    result = Trainer(demonstrations, training, RunFolder(output_dir / "training")).train()
+    training, given = labelled(training, demonstrations)
+    result = Trainer(demonstrations, training, RunFolder(output_dir / "training"), given).train()
     found = annotate(result.policy, demonstrations)
     if bool((found.labels == result.found.labels).all()):
         found = replace(found, confidence=result.found.confidence)

@@ -37,7 +37,8 @@ def annotate(
     loss; it says how sharply these classifiers decide, which on the demonstrations they were
     trained on is sharper than on new ones. Where switch functions had a say in the training's segmentation
     (dpmacro/switching/costs.py), the policy's have theirs here, on the frames on which they may fire. On the
-    demonstrations that the policy was trained on the labels are those that the training reported.
+    demonstrations that the policy was trained on the labels are those that the training reported, where it
+    was given none.
 
     Args:
         policy: from a training run.

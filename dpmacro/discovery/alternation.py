@@ -42,6 +42,7 @@ def alternate(
     on_round: Callable[[Round], None] = lambda _: None,
     switch_costs: SwitchCosts | None = None,
     order: str = "free",
+    keep: Callable[[Tensor, Tensor | None], Tensor] = lambda costs, _: costs,
 ) -> Alternated:
     """Boosting rounds, each followed by a segmentation once `warmup` rounds are over.
 
@@ -49,6 +50,8 @@ def alternate(
     the labels so far among its choices: it never rises but for rounding, and an `ObjectiveWarning` says so
     where it does. `switch_costs`, with a single start only, join the objective and stay as they are. `order`
     is that of `segment`; with "chain" every start is one.
+    `keep` makes of the costs, of all starts one after another, and of what changes cost those under which
+    labels stay that are given; every start has them (see `Task.held`).
     `boosting` has a problem for every start and macro-action. Ends early where no problem finds anything
     better than chance and the labels stay as they are.
 
@@ -73,7 +76,8 @@ def alternate(
             costs = costs + switch_costs.staying
         changed = torch.zeros(restarts)
         if number > warmup and n_macros > 1:
-            found = segment(costs.flatten(0, 1), repeated, max_transitions, changing, order).labels
+            own = keep(costs.flatten(0, 1), changing)
+            found = segment(own, repeated, max_transitions, changing, order).labels
             found = found.view(restarts, n_frames)
             changed, labels = (found != labels).float().mean(1), found
         totals = [cost_of(own, cost, lengths, changing) for own, cost in zip(labels, costs, strict=True)]

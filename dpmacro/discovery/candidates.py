@@ -8,10 +8,11 @@ these quick fits; a candidate's labels themselves came from all of them.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int64, Num
+from jaxtyping import Bool, Float, Int64, Num
 from torch import Tensor
 
 from dpmacro.boosting.crossfit import LeftOutScores, left_out_scores
@@ -20,6 +21,7 @@ from dpmacro.boosting.loop import Round
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.discovery.criteria import CandidateScores, part_sums
 from dpmacro.features.levels import SortedLevels
+from dpmacro.segmentation.given import FREE, GivenLabels
 from dpmacro.segmentation.marginals import costs_without, margins
 from dpmacro.segmentation.segments import transition_counts
 from dpmacro.switching.functions import SwitchFunctions, causal_labels
@@ -58,6 +60,30 @@ class Task:
     max_transitions: int
     seed: int
     order: str = "free"  # of macro-actions: "free", or "chain" for 0, 1, ..., S in every trajectory
+    given: Int64[Tensor, " frames"] | None = None  # labels that are kept, `FREE` elsewhere; None for none
+
+    @cached_property
+    def known(self) -> GivenLabels:
+        """The labels that are given, where some are; ValueError where no segmentation keeps to them."""
+        assert self.given is not None, "the callers asked"
+        return GivenLabels.of(self.given, self.lengths, self.macros, self.max_transitions, self.order)
+
+    def held(
+        self, costs: Num[Tensor, "frames macros"], changing: Num[Tensor, "..."] | None = None
+    ) -> Num[Tensor, "frames macros"]:
+        """Costs under which `segment` keeps to the given labels, once or several times the frames."""
+        return costs if self.given is None else self.known.costs(costs, changing)
+
+    def kept_to(self, labellings: Int64[Tensor, "labellings frames"]) -> Int64[Tensor, "labellings frames"]:
+        """Labellings with the given labels, numbered to agree with them where the order is free."""
+        if self.given is None or not len(labellings):
+            return labellings
+        return self.known.nearest(labellings, rename=self.order == "free")
+
+    def numbered_as(self, labels: Int64[Tensor, " frames"]) -> "Task":
+        """The task whose macro-actions are those of `labels`, 0..Q-1 anew, which keep to what is given."""
+        given = None if self.given is None else torch.where(self.given == FREE, FREE, labels)
+        return replace(self, macros=int(labels.max()) + 1, given=given)
 
     @property
     def tolerance(self) -> int:
@@ -140,13 +166,14 @@ def confidence(
     1 - exp(-d), d being what the best segmentation with another label at that frame costs them more, in nats
     of bounded deviance; 0 where they want another label. Only macro-actions that have frames count, and no
     more transitions than the candidate has in any trajectory: a bound that the labels do not use leaves room
-    for excursions that nobody proposed.
+    for excursions that nobody proposed. A label that is given is sure, 1, and every segmentation keeps to it.
     """
     used = candidate.used
-    charges = left_out_charges(candidate, task)[:, used].double()
+    charges = task.held(left_out_charges(candidate, task))[:, used].double()
     places = torch.searchsorted(used, labels)
     sure = margins(charges, task.lengths, candidate.transitions(task.lengths), places, order=task.order)
-    return -torch.expm1(-sure.clamp(min=0)).float()
+    sure = -torch.expm1(-sure.clamp(min=0)).float()
+    return sure if task.given is None else sure.masked_fill(task.known.held, 1.0)
 
 
 def left_out_charges(candidate: Candidate, task: Task) -> Float[Tensor, "frames macros"]:
@@ -236,11 +263,21 @@ def _scores(
         paid = charges[frames, causal]
         wrong = task.loss.error(fitted.macros[place][frames, causal], actions)
     told = charges[frames, _context(charges, labels, task)]
-    parts = [
-        part_sums(each, task.lengths, task.groups) for each in (paid, charges[frames, labels], told, alone)
-    ]
+    own = charges[frames, labels]
+    parts = [part_sums(each, task.lengths, task.groups) for each in (paid, own, told, alone)]
     causal_parts, hindsight, context, alone_parts = parts
-    return CandidateScores(switches.mean_recognised, causal_parts, wrong, hindsight, context, alone_parts)
+    given = None if task.given is None else _given_parts(own, task, task.known.held)
+    return CandidateScores(
+        switches.mean_recognised, causal_parts, wrong, hindsight, context, alone_parts, given
+    )
+
+
+def _given_parts(
+    charges: Float[Tensor, " frames"], task: Task, held: Bool[Tensor, " frames"]
+) -> Float[Tensor, " parts"]:
+    """What the frames are charged whose labels are given, in parts."""
+    counts = torch.stack([part.sum() for part in held.split(task.lengths.tolist())])
+    return part_sums(charges[held], counts[counts > 0], task.groups[counts > 0])
 
 
 def _context(

@@ -33,6 +33,7 @@ class CandidateScores:
         hindsight: loss under the segmentation's own labels.
         context: loss when every frame's label comes from the frames around it, the nearest left out.
         alone: loss of a single classifier.
+        given: loss in hindsight of the frames whose label was given, alone; None where none was.
     """
 
     recognised: float
@@ -41,6 +42,7 @@ class CandidateScores:
     hindsight: Float[Tensor, " parts"]
     context: Float[Tensor, " parts"]
     alone: Float[Tensor, " parts"]
+    given: Float[Tensor, " parts"] | None = None
 
     @property
     def gain(self) -> float:
@@ -111,10 +113,16 @@ def best_candidate(candidates: Sequence[CandidateScores], explaining: bool = Fal
     candidates that do equally well by it come into question. (Where actions are vectors any two halves of a
     task differ a little, and the change between them that is seen best need not be one of those that explain
     most.)
+
+    Where labels were given, their loss is asked before all else. Every candidate has those labels; what tells
+    candidates apart is whether classifiers that learned from the other trajectories agree with them.
     """
     places = list(range(len(candidates)))
+    given = [one.given for one in candidates if one.given is not None]
+    if given:
+        places = equally_good(given)
     if explaining:
-        places = equally_good([one.hindsight for one in candidates])
+        places = [places[k] for k in equally_good([candidates[place].hindsight for place in places])]
     runnable = [place for place in places if candidates[place].runnable]
     if not runnable:
         return min(places, key=lambda place: float(candidates[place].hindsight.sum()))

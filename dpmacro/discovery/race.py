@@ -24,7 +24,7 @@ from dpmacro.discovery.starts.vectors import evidence_of, vector_starts
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 
-__all__ = ["boosted", "boosted_in_turn", "field_of", "raced"]
+__all__ = ["boosted", "boosted_in_turn", "field_of", "raced", "taught"]
 
 RACE = SearchSettings(rounds=20, warmup=10, drawn=24)
 STEP = 0.5  # shrinkage of the race
@@ -57,8 +57,8 @@ def boosted(
     targets, n_problems = task.loss.targets(task.actions), len(starts) * task.macros
     boosting = Boosting(learner, targets, n_problems, shrinkage, generator, loss=task.loss)
     warmup = min(settings.warmup, settings.rounds // 2)
-    given = boosting, task.actions, task.lengths, starts, task.macros, task.max_transitions
-    return alternate(*given, settings.rounds, warmup, "discover", on_round, order=task.order)
+    given = boosting, task.actions, task.lengths, task.kept_to(starts), task.macros, task.max_transitions
+    return alternate(*given, settings.rounds, warmup, "discover", on_round, order=task.order, keep=task.held)
 
 
 def boosted_in_turn(
@@ -99,7 +99,8 @@ def raced(
     starts = torch.cat(list(kinds.values()))
     linear = linear_alternation(evidence, starts, moments)
     ended = linear.labels[linear.loss.argsort()]
-    entrants = torch.cat([starts, ended[distinct(ended)][: restarts // 2]])
+    entrants = field.task.kept_to(torch.cat([starts, ended[distinct(ended)][: restarts // 2]]))
+    entrants = torch.cat([taught(field.data, field.task), entrants])
     entrants = entrants[distinct(entrants)]
     found = boosted_in_turn(field.data, field.task, entrants, RACE, STEP, on_round)
     order = found.loss[-1].argsort()
@@ -109,6 +110,17 @@ def raced(
     if field.whole:
         return survivors
     return torch.stack([_extended(data, task, field, labels) for labels in survivors])
+
+
+def taught(data: SortedLevels, task: Task) -> Int64[Tensor, "starts frames"]:
+    """All frames as classifiers of those with given labels want them: one start, or none without labels."""
+    if task.given is None or not bool(task.known.held.any()):
+        return torch.zeros(0, len(task.actions), dtype=torch.int64)
+    held = task.known.held.nonzero()[:, 0]
+    frames = held.to(data.levels.device)
+    some = replace(task, actions=task.actions[frames], given=None)
+    field = Field(SortedLevels.unsorted(data.levels[:, frames]), some, False)
+    return _extended(data, task, field, task.given[held])[None]
 
 
 def _most(task: Task) -> int:
@@ -128,14 +140,16 @@ def field_of(data: SortedLevels, task: Task, generator: torch.Generator) -> Fiel
     if bool(drawn.all()):
         return Field(data, task, True)
     frames = drawn.repeat_interleave(task.lengths).nonzero()[:, 0].to(data.levels.device)
-    own = replace(task, actions=task.actions[frames], lengths=task.lengths[drawn], groups=task.groups[drawn])
+    known = None if task.given is None else task.given[frames.cpu()]
+    parts = {"actions": task.actions[frames], "lengths": task.lengths[drawn], "groups": task.groups[drawn]}
+    own = replace(task, **parts, given=known)
     return Field(SortedLevels.unsorted(data.levels[:, frames]), own, False)
 
 
 def _extended(
     data: SortedLevels, task: Task, field: Field, labels: Int64[Tensor, " some"]
 ) -> Int64[Tensor, " frames"]:
-    """All frames as classifiers of a segmentation of some trajectories want them, within the bounds."""
+    """All frames as classifiers of the labels of some want them, within the bounds."""
     generator = torch.Generator().manual_seed(task.seed)
     own = field.task
     learner = StumpLearner(field.data, drawn=RACE.drawn)
@@ -150,4 +164,4 @@ def _extended(
             for levels, own_targets in zip(data.levels.split(CHUNK, 1), targets.split(CHUNK), strict=True)
         ]
     )
-    return segment(costs, task.lengths, task.max_transitions, order=task.order).labels.cpu()
+    return segment(task.held(costs), task.lengths, task.max_transitions, order=task.order).labels.cpu()

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Int64
@@ -57,6 +58,8 @@ def recut(
 
 def _promise(candidate: Candidate, task: Task) -> tuple[bool, float]:
     """By which candidates are ordered, the most promising first: as they are chosen, but for equals."""
+    if candidate.scores.given is not None:
+        return False, float(candidate.scores.given.sum())
     if task.vectors:
         return False, float(candidate.scores.hindsight.sum())
     return not candidate.scores.runnable, float(candidate.scores.causal.sum())
@@ -74,7 +77,8 @@ def resegmented(candidate: Candidate, task: Task, weight: float = 1.0) -> Int64[
     switches = candidate.switches
     extra = charges_of(switches.scores, switches.pairs, log_odds, task.lengths, weight)
     bound = min(task.max_transitions, candidate.transitions(task.lengths))
-    return segment(costs + extra.staying, task.lengths, bound, extra.changing, task.order).labels
+    held = replace(task, max_transitions=bound).held(costs + extra.staying, extra.changing)
+    return segment(held, task.lengths, bound, extra.changing, task.order).labels
 
 
 def simplified(

@@ -17,7 +17,7 @@ from dpmacro.boosting.loop import Round
 from dpmacro.discovery.alternation import Alternated, pooled
 from dpmacro.discovery.candidates import Candidate, Task, distinct, score_candidates
 from dpmacro.discovery.criteria import best_candidate
-from dpmacro.discovery.race import boosted, boosted_in_turn, raced
+from dpmacro.discovery.race import boosted, boosted_in_turn, raced, taught
 from dpmacro.discovery.refinement import recut, simplified
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.settings import SearchSettings
@@ -102,6 +102,7 @@ def _alternated(
         starts = initial_segmentations(data.levels, task.actions, task.lengths, *bounds)
     if task.order == "chain":
         starts = chained(starts, task.lengths, task.macros)
+    starts = torch.cat([taught(data, task), starts])
     return boosted(data, task, starts, settings, shrinkage, generator, on_round)
 
 
@@ -137,11 +138,13 @@ def _scored(
     others = _as_they_are(data, task, restarts)
     if task.order == "chain":
         others = chained(others, task.lengths, task.macros)
-    labels = torch.cat([alternated.labels[order], others])
+    labels = torch.cat([alternated.labels[order], taught(data, task), task.kept_to(others)])
     scored = score_candidates(data, task, labels[distinct(labels)], on_round)
     if settings.switch_weight > 0 and task.n_groups > 1:
         scored = recut(scored, data, task, settings.switch_weight, on_round)
-    return scored if task.order == "chain" else simplified(scored, data, task, on_round)
+    if task.order == "chain" or task.given is not None:  # macro-actions are then no fewer, and have names
+        return scored
+    return simplified(scored, data, task, on_round)
 
 
 def _as_they_are(data: SortedLevels, task: Task, restarts: int) -> Int64[Tensor, "candidates frames"]:
@@ -176,9 +179,10 @@ def _as_they_are(data: SortedLevels, task: Task, restarts: int) -> Int64[Tensor,
 def _smaller(task: Task) -> list[Task]:
     """The task with 2, 3, ... macro-actions and so many transitions as they need, up to the whole.
 
-    Of more than `EVERY` macro-actions a few numbers below serve for all.
+    Of more than `EVERY` macro-actions a few numbers below serve for all. A chain and given labels say how
+    many there are.
     """
-    if task.order == "chain":
+    if task.order == "chain" or task.given is not None:
         return [task]
     bound = task.max_transitions
     sizes = range(2, task.macros) if task.macros <= EVERY else sorted({2, EVERY, (task.macros + 1) // 2})

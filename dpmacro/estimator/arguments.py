@@ -4,7 +4,7 @@ Every error is a ValueError of one line that starts with the argument's name.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from dpmacro.boosting.losses.vectors import LOSSES, HuberLoss
 from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.settings import ORDERS, RECIPES
 from dpmacro.features.levels import SortedLevels
+from dpmacro.segmentation.given import FREE
 from dpmacro.utils.checks import (
     ArrayLike,
     as_count,
@@ -75,6 +76,7 @@ def task_of(
     actions: ArrayLike,
     lengths: ArrayLike,
     groups: Int64[Tensor, " trajectories"] | None,
+    given: ArrayLike | None = None,
 ) -> Task:
     """What DPBoost with these options is to explain. Raises ValueError where that cannot be.
 
@@ -84,6 +86,7 @@ def task_of(
         actions: classes, or standardised vectors.
         lengths: frames of every trajectory.
         groups: numbers 0.. of trajectories to leave out together; alone by default.
+        given: labels of some frames that the segmentation keeps to, -1 elsewhere; None for none.
     """
     check_options(options)
     device, n_frames, macros = as_device(options["device"]), data.n_frames, int(options["macros"])
@@ -110,7 +113,28 @@ def task_of(
         loss = HuberLoss(actions.shape[1], LOSSES[options["loss"]])
     bound = min(bound, int(lengths.max()) - 1)
     seed, order = int(options["seed"]), options["order"]
-    return Task(actions.to(device), lengths, groups, loss, macros, bound, seed, order)
+    task = Task(actions.to(device), lengths, groups, loss, macros, bound, seed, order)
+    return task if given is None else _keeping(task, given)
+
+
+def _keeping(task: Task, given: ArrayLike) -> Task:
+    """The task with labels that are given, if any; ValueError where no segmentation keeps to them."""
+    shape = "[frames], the label of each and -1 where it is free"
+    labels = as_whole_vector("given", given, shape, least=FREE, most=task.macros - 1).cpu()
+    if len(labels) != len(task.actions):
+        raise ValueError(
+            f"given are {len(labels)} but there are {len(task.actions)} frames: give one for each"
+        )
+    if bool((labels == FREE).all()):
+        return task
+    task = replace(task, given=labels)
+    if task.macros > 1 and task.max_transitions == 0:
+        raise ValueError("given are labels and max_transitions is 0, so that nothing is cut: allow 1 or more")
+    try:
+        task.known  # noqa: B018 - made once, where it raises what is wrong
+    except ValueError as error:
+        raise ValueError(f"given, {error}") from error
+    return task
 
 
 def as_device(device: Any) -> torch.device:

@@ -21,7 +21,6 @@ from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Round
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt, discover
-from dpmacro.discovery.settings import SearchSettings, paper_switches
 from dpmacro.estimator.arguments import (
     Standardiser,
     as_actions,
@@ -33,6 +32,7 @@ from dpmacro.estimator.arguments import (
 )
 from dpmacro.estimator.final import finished
 from dpmacro.estimator.prediction import levels_of, predicted, segmented
+from dpmacro.estimator.recipes import search_of, shrinkage_of, switches_of
 from dpmacro.estimator.result import DPBoostResult
 from dpmacro.estimator.settling import FinalFit
 from dpmacro.features.levels import SortedLevels
@@ -139,6 +139,8 @@ class DPBoost:
         actions: ArrayLike,
         lengths: ArrayLike,
         on_round: Callable[[Round], None] = lambda _: None,
+        *,
+        given: ArrayLike | None = None,
     ) -> "DPBoost":
         """Find macro-labels, strong classifiers and switch functions.
 
@@ -147,11 +149,15 @@ class DPBoost:
             actions: of every frame 0..M-1, or a vector, [frames, dims] in floating point.
             lengths: frames of every trajectory, 1 or more each.
             on_round: called after every boosting round.
+            given: macro-labels of some frames, 0..Q-1 and -1 elsewhere, that the segmentation keeps to while
+                it cuts the other frames; None for none. Then no fewer macro-actions are tried than Q.
 
-        Macro-actions that end up without a frame are left out: there may be fewer than Q.
+        Macro-actions that end up without a frame are left out: there may be fewer than Q, numbered anew in
+        their order.
 
         Raises ValueError where shapes disagree, a feature is not finite, an action or a length is no whole
-        number or out of range, or there are more macro-actions than frames.
+        number or out of range, there are more macro-actions than frames, or no segmentation under the bound
+        or in the order keeps to the given labels.
         """
         check_options(self.get_params())
         if not callable(on_round):
@@ -162,7 +168,8 @@ class DPBoost:
         lengths = as_lengths(lengths, values.shape[1], "features")
         quantiser = Quantiser.fit(values)
         data = SortedLevels.build(quantiser.levels(values))
-        result = self.fit_levels(data, standardised(actions, self._standardiser), lengths, on_round=on_round)
+        actions = standardised(actions, self._standardiser)
+        result = self.fit_levels(data, actions, lengths, given=given, on_round=on_round)
         self.result_ = replace(result, quantiser=quantiser)
         self.labels_, self.confidence_ = self.result_.labels, self.result_.confidence
         return self
@@ -181,7 +188,8 @@ class DPBoost:
     ) -> Int64[Tensor, " frames"]:
         """Macro-labels of sequences in hindsight, exact: those of least cost under the bound.
 
-        On the data of `fit` they are its labels. Arguments and errors as for `fit`.
+        On the data of `fit` they are its labels, where none were given to it: what is found here is what the
+        fitted functions want alone. Arguments and errors as for `fit`.
         """
         levels = self._levels(features)
         actions = standardised(as_actions(actions, levels.shape[1]), self._standardiser)
@@ -205,6 +213,7 @@ class DPBoost:
         *,
         groups: Int64[Tensor, " trajectories"] | None = None,
         known: Int64[Tensor, " frames"] | None = None,
+        given: ArrayLike | None = None,
         on_round: Callable[[Round], None] = lambda _: None,
     ) -> Discovery | None:
         """Candidate segmentations and their scores without the final fit; None where there is nothing to cut.
@@ -213,15 +222,18 @@ class DPBoost:
             data: levels of every frame.
             actions, lengths: as for `fit`; vectors are standardised already.
             groups: numbers 0.. of trajectories to leave out together; alone by default.
-            known: labels 0..Q-1 that take the place of the search.
+            known: labels 0..Q-1 that take the place of the search; they keep to what is given.
+            given: labels of some frames, as for `fit`.
             on_round: called after every boosting round.
         """
-        task = task_of(self.get_params(), data, actions, lengths, groups)
+        task = task_of(self.get_params(), data, actions, lengths, groups, given)
         if task.macros == 1 or task.max_transitions == 0:
             return None
         if known is not None:
             return adopt(data, task, known, on_round)
-        return discover(data, task, self._search, int(self.restarts), self._shrinkage, on_round)
+        options = self.get_params()
+        settings, shrinkage = search_of(options), shrinkage_of(options)
+        return discover(data, task, settings, int(self.restarts), shrinkage, on_round)
 
     def fit_levels(
         self,
@@ -235,6 +247,7 @@ class DPBoost:
         shrinkage: float | None = None,
         switches: SwitchSettings | None = None,
         discovery: Discovery | None = None,
+        given: ArrayLike | None = None,
         on_round: Callable[[Round], None] = lambda _: None,
     ) -> DPBoostResult:
         """`fit` on levels, with learners of the caller's; the result has no quantiser.
@@ -248,41 +261,27 @@ class DPBoost:
                 stumps on `SWITCH_DRAWN` random columns a round.
             shrinkage: of the strong classifiers, where their learner wants another than the search.
             switches: how the switch functions learn, in place of this estimator's.
-            discovery: what `discover_levels` found, where it has run already.
+            discovery: what `discover_levels` found, where it has run already, with the same `given`.
+            given: labels of some frames, as for `fit`.
             on_round: called after every boosting round.
         """
-        task = task_of(self.get_params(), data, actions, lengths, groups)
+        task = task_of(self.get_params(), data, actions, lengths, groups, given)
         if discovery is None:
-            discovery = self.discover_levels(data, actions, lengths, groups=groups, on_round=on_round)
+            shared: dict[str, Any] = {"groups": groups, "given": given, "on_round": on_round}
+            discovery = self.discover_levels(data, actions, lengths, **shared)
+        options = self.get_params()
+        search = search_of(options)
         fit = FinalFit(
             StumpLearner(data) if learner is None else learner,
             StumpLearner(data, SWITCH_DRAWN) if switch_learner is None else switch_learner,
             int(self.rounds),
-            self._shrinkage if shrinkage is None else shrinkage,
+            shrinkage_of(options) if shrinkage is None else shrinkage,
             bool(self.early_stopping),
-            self._switches if switches is None else switches,
-            self._search.switch_weight,
-            self._search.held,
+            switches_of(options) if switches is None else switches,
+            search.switch_weight,
+            search.held,
         )
         return finished(data, task, discovery, fit, on_round)
-
-    @property
-    def _search(self) -> SearchSettings:
-        if self.recipe == "paper":
-            return SearchSettings.paper()
-        return SearchSettings(switch_weight=float(self.switch_weight))
-
-    @property
-    def _switches(self) -> SwitchSettings:
-        if self.recipe == "paper":
-            return paper_switches(int(self.switch_rounds), int(self.switch_window))
-        return SwitchSettings(
-            int(self.switch_rounds), int(self.switch_window), early_stopping=bool(self.early_stopping)
-        )
-
-    @property
-    def _shrinkage(self) -> float:
-        return 1.0 if self.recipe == "paper" else float(self.shrinkage)
 
     @property
     def _fitted(self) -> DPBoostResult:

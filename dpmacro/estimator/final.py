@@ -45,7 +45,7 @@ def finished(
         fit = apart
     elif discovery is not None:  # switch functions charge nats, and so the training loss is to be in nats
         fit = replace(fit, weight=fit.weight * task.loss.per_nat(discovery.kept.scale))
-    bounded = replace(task, max_transitions=bound)
+    bounded = replace(task.numbered_as(labels), max_transitions=bound)
     settled = settle(fit, bounded, labels, on_round)
     final = _judged(data, task, settled, on_round)
     if task.vectors and fit.weight > 0 and not _explains(final, discovery):
@@ -75,11 +75,11 @@ def _judged(
     data: SortedLevels, task: Task, settled: Settled, on_round: Callable[[Round], None]
 ) -> Discovery | None:
     """What left-out data says of the labels that were settled on; None where they are one macro-action."""
-    n_macros = int(settled.labels.max()) + 1
-    if n_macros < 2:
+    if int(settled.labels.max()) == 0:
         return None
     used = int(transition_counts(settled.labels, task.lengths).max())
-    return adopt(data, replace(task, macros=n_macros, max_transitions=used), settled.labels, on_round)
+    own = replace(task.numbered_as(settled.labels), max_transitions=used)
+    return adopt(data, own, settled.labels, on_round)
 
 
 def _explains(final: Discovery | None, discovery: Discovery | None) -> bool:

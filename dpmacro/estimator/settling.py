@@ -82,7 +82,7 @@ def settle(
     Args:
         fit: with what.
         task: the actions and what is left out together; its bound holds for the segmentation.
-        labels: the segmentation to begin with, 0..Q-1.
+        labels: the segmentation to begin with, 0..Q-1, each used; it keeps to what is given.
         on_round: called after every boosting round.
     """
 
@@ -97,6 +97,7 @@ def settle(
     if fit.switches.aligned:
         unfocused = replace(fit.switches, focused=False)
         labels = realigned(lambda own: fitted(unfocused, own), labels, task.lengths)
+        labels = labels if task.given is None else task.known.nearest(labels[None])[0]
     rounds = fit.rounds
     if fit.early_stopping:
         held = labels, task.actions, task.lengths, rounds, fit.shrinkage, task.loss
@@ -112,7 +113,7 @@ def settle(
             terms = _terms(switches, labels, task, fit.weight)
             costs = _switch_costs(fit.switch_learner, switches, terms, task)
         found, loss, classifiers = _classifiers(
-            fit, replace(task, macros=n_macros), labels, rounds, costs, on_round
+            fit, task.numbered_as(labels), labels, rounds, costs, on_round
         )
         used, pruned = found.unique(return_inverse=True)
         if switches is None:
@@ -158,13 +159,14 @@ def _classifiers(
     targets = task.loss.targets(task.actions)
     boosting = Boosting(fit.learner, targets, task.macros, fit.shrinkage, generator, loss=task.loss)
     given = boosting, task.actions, task.lengths, labels[None], task.macros, task.max_transitions
-    ended = alternate(*given, rounds, int(fit.held * rounds), "fit", on_round, costs, task.order)
+    ended = alternate(*given, rounds, int(fit.held * rounds), "fit", on_round, costs, task.order, task.held)
     classifiers = boosting.strong()
     own = action_costs(_chunks(fit.learner, len(labels)), classifiers, task.actions, task.loss)
     changing = None
     if costs is not None:
         own, changing = own + costs.staying.to(own.device), costs.changing.to(own.device)
-    found = segment(own, task.lengths, task.max_transitions, changing, task.order).labels.cpu()
+    held = task.held(own, changing)
+    found = segment(held, task.lengths, task.max_transitions, changing, task.order).labels.cpu()
     return found, ended.loss[:, 0], classifiers
 
 

@@ -1,6 +1,6 @@
 """The options of train.py: one dataclass, a sentence per field, each checking itself."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import torch
@@ -22,6 +22,7 @@ __all__ = [
 PLANNERS = ("dpboost", "baseline")
 SEEDS = 2**63  # those that generators take
 LEARNERS = ("stumps", "convnet")
+MACROS = 2  # unless a number is given, or names of macro-actions
 RELATIVE = ("auto", "true", "false")
 
 
@@ -47,6 +48,8 @@ class DatasetOptions:
     """Width and height that images are shrunk to, like '[128,96]'; large ones by default to about 64x48."""
     truth: str | None = None
     """Column of true macro-labels, for metrics only; by default the one recorded, and none for no truth."""
+    labels: Path | None = None
+    """File of corrections, JSON or CSV, whose episodes keep their labels while the others are cut anew."""
     symmetric: bool | None = None
     """Whether the world and its mirror image are alike; by default as meta/dpmacro.json says, else false."""
 
@@ -90,8 +93,8 @@ class PlannerOptions:
     """dpmacro, or paper for the method of the DPBoost paper without this package's additions."""
     type: str = "dpboost"
     """dpboost, or baseline for a single macro-action without switch functions, like macros=1."""
-    macros: int | str = 2
-    """Number of macro-actions Q; auto chooses between 1 and max_macros by left-out data."""
+    macros: int | str | None = None
+    """Number of macro-actions Q, by default 2 or as many as labels name; auto tries 1 to max_macros."""
     max_macros: int = 4
     """Largest number of macro-actions that macros=auto tries."""
     order: str = "free"
@@ -269,9 +272,23 @@ class TrainOptions:
     def __post_init__(self) -> None:
         if self.dataset.root is None:
             raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
+        if self.dataset.labels is not None:
+            self._check_labels()
+        elif self.planner.macros is None:
+            object.__setattr__(self, "planner", replace(self.planner, macros=MACROS))
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed is {self.seed}: give 0 or more, and less than {SEEDS}")
         try:
             torch.empty(0, device=self.device)
         except (RuntimeError, AssertionError) as error:
             raise ValueError(f"device {self.device!r} is not available here: give --device=cpu") from error
+
+    def _check_labels(self) -> None:
+        """Raise ValueError for an option that has no use for a file of labels."""
+        others = {
+            "planner.type=baseline": self.planner.type == "baseline",
+            "planner.macros=auto": self.planner.macros == "auto",
+            f"dagger.iterations={self.dagger.iterations}": self.dagger.iterations > 0,
+        }
+        for other in (name for name, there in others.items() if there):
+            raise ValueError(f"dataset.labels is {self.dataset.labels} beside {other}: leave one of them out")

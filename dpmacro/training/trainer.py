@@ -27,6 +27,7 @@ from dpmacro.features.memory import Plan
 from dpmacro.policy.config import CLASSES, InputConfig, PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.policy.recovery import Stretches
+from dpmacro.segmentation.given import FREE
 from dpmacro.switching.training import SwitchSettings
 from dpmacro.training.data import Columns, TrainingData, state_key
 from dpmacro.training.learners import WeakLearners, rounds_of, shrinkage_of
@@ -57,12 +58,20 @@ class Trainer:
         demonstrations: what to learn from.
         options: how.
         folder: where to write.
+        given: labels of some frames that the segmentation keeps to, -1 elsewhere; None for none.
     """
 
-    def __init__(self, demonstrations: Demonstrations, options: TrainOptions, folder: RunFolder) -> None:
+    def __init__(
+        self,
+        demonstrations: Demonstrations,
+        options: TrainOptions,
+        folder: RunFolder,
+        given: Int64[Tensor, " frames"] | None = None,
+    ) -> None:
         self.demonstrations = demonstrations
         self.options = options
         self.folder = folder
+        self.given = given
         self._settings = _settings(options.planner)
         self._order_notes: tuple[str, ...] = ()
         most, n_frames = max(macros for macros, _ in self._settings), int(demonstrations.lengths.sum())
@@ -116,7 +125,7 @@ class Trainer:
         """Search, unless a segmentation is known, then fit classifiers and switch functions to it."""
         planner = self.options.planner
         given = columns.levels, self.data.actions, self.data.lengths
-        shared = {"groups": self.data.groups, "on_round": monitor.on_round}
+        shared = {"groups": self.data.groups, "given": self.given, "on_round": monitor.on_round}
         if not isinstance(start, Discovery):
             start = dpboost.discover_levels(*given, known=start, **shared)
         mirror = self.data.mirror and dpboost.macros > 1
@@ -203,7 +212,15 @@ class Trainer:
         """What the demonstrations and their actions tell of the choices made."""
         transform = self.data.transform
         told = transform.report() if transform is not None else ()
-        return (*self.demonstrations.notes, *told, *self._order_notes)
+        kept = () if self.given is None else (self._kept_note,)
+        return (*self.demonstrations.notes, *told, *kept, *self._order_notes)
+
+    @property
+    def _kept_note(self) -> str:
+        assert self.given is not None, "the caller asked"
+        parts = self.given.split(self.data.lengths.tolist())
+        kept = sum(bool((part != FREE).any()) for part in parts)
+        return f"labels of {kept} of {len(parts)} demonstrations are kept as they were given"
 
     def _policy(self, columns: Columns, found: DPBoostResult) -> MacroPolicy:
         demonstrations, planner, transform = self.demonstrations, self.options.planner, self.data.transform
@@ -247,6 +264,8 @@ def _settings(planner: PlannerOptions) -> list[tuple[int, int]]:
     given = planner.max_transitions
     if planner.type == "baseline":
         return [(1, 0)]
+    if planner.macros is None:
+        raise ValueError("planner.macros is not given: give the number of names that the labels have")
     if isinstance(planner.macros, int):
         return [(planner.macros, planner.macros - 1 if given is None else given)]
     numbers = range(2, planner.max_macros + 1)

@@ -1,5 +1,7 @@
 """The final fit: labels are always those that the fitted functions want; it says where it is unsettled."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from visible import task_of, visible_change
@@ -10,7 +12,8 @@ from dpmacro.estimator import settling
 from dpmacro.estimator.hindsight import action_costs, switch_terms_costs
 from dpmacro.estimator.settling import FinalFit, settle
 from dpmacro.features.levels import SortedLevels
-from dpmacro.segmentation.recursion import segment
+from dpmacro.segmentation.given import FREE
+from dpmacro.segmentation.recursion import cost_of, segment
 from dpmacro.segmentation.segments import macro_segments
 from dpmacro.switching.threshold import recognised_share
 from dpmacro.switching.training import SwitchSettings
@@ -21,14 +24,20 @@ def fit_of(data, weight=1.0, rounds=20, aligned=True, early_stopping=False):
     return FinalFit(StumpLearner(data), StumpLearner(data, 3), rounds, 0.3, early_stopping, switches, weight)
 
 
-def wanted(data, task, settled):
-    """The segmentation that the fitted functions want, all frames at once."""
+def costs_of(data, task, settled):
+    """Costs of the fitted functions for all frames at once, and what changes cost."""
     frames = [Frames(data.levels)]
     costs, changing = action_costs(frames, settled.classifiers, task.actions, task.loss), None
     if settled.terms is not None:
         switcher = settled.switches.classifier
         extra = switch_terms_costs(frames, switcher, settled.terms, task.actions, task.lengths)
         costs, changing = costs + extra.staying, extra.changing
+    return costs, changing
+
+
+def wanted(data, task, settled):
+    """The segmentation that the fitted functions want."""
+    costs, changing = costs_of(data, task, settled)
     return segment(costs, task.lengths, settled.max_transitions, changing).labels
 
 
@@ -148,3 +157,33 @@ def test_left_out_trajectories_may_say_how_many_rounds_are_kept():
     found = settle(fit_of(data, 0.0, 40, False, early_stopping=True), task, truth, reports.append)
     stages = [report.stage for report in reports]
     assert 1 <= len(found.loss) < 40 and stages[0] == "validate"
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_labels_that_are_given_are_kept_and_fitted_to(seed, weight):
+    data, task, labels = restless(seed)
+    labels[:20] = torch.where(torch.arange(20) < 7, 0, 2)
+    task = replace(task, given=torch.where(torch.arange(80) < 20, labels, FREE))
+    found = settle(fit_of(data, weight), task, labels)
+    top = int(found.labels.max())
+    assert found.labels[:20].tolist() == [0] * 7 + [top] * 13
+    own = replace(task.numbered_as(found.labels), max_transitions=found.max_transitions)
+    costs, changing = costs_of(data, task, found)
+    best = segment(own.held(costs, changing), task.lengths, found.max_transitions, changing).labels
+    assert torch.equal(found.labels, best), "other frames are as the fitted functions want them"
+    paid = cost_of(found.labels, costs, task.lengths, changing) / len(labels)
+    assert float(found.loss[-1]) == pytest.approx(float(paid), rel=1e-4)
+
+
+def test_labels_that_are_given_are_numbered_with_the_others_when_a_macro_action_goes():
+    data, actions, lengths, truth = visible_change()
+    labels, moved = truth + 1, (torch.arange(80) >= 10).long().repeat(12) + 1
+    labels.view(12, 80)[::3, :2] = 0
+    held = torch.arange(len(labels)) // 80 == 4
+    labels[held] = moved[held]
+    task = replace(task_of(actions, lengths, 3, 2), given=torch.where(held, labels, FREE))
+    found = settle(fit_of(data, aligned=False), task, labels)
+    assert found.labels.unique().tolist() == [0, 1], "the first is gone"
+    assert torch.equal(found.labels[held], moved[held] - 1)
+    assert torch.equal(found.labels[~held], truth[~held])
