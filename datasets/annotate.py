@@ -42,7 +42,8 @@ from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer
 from dpmacro.utils import cli
 
-POLICYS_OWN = ("inputs", "camera", "action_relative", "image_size", "symmetric", "labels")  # options of a training
+# Options of a training's data, which a policy has had.
+POLICYS_OWN = ("inputs", "camera", "action_relative", "image_size", "symmetric", "labels")
 
 
 @dataclass(frozen=True)
