@@ -100,7 +100,7 @@ def test_what_does_not_fit_into_memory_together_gets_the_same_scores(monkeypatch
 
 def test_classifiers_of_vectors_are_grown_further():
     actions = torch.randn(6, 2)
-    assert pace_of(actions) is crossfit.VECTORS and pace_of(actions[:, 0] > 0) is crossfit.CLASSES
+    assert pace_of(actions) is crossfit.VECTORS and pace_of((actions[:, 0] > 0).long()) is crossfit.CLASSES
     assert (
         crossfit.VECTORS.own * crossfit.VECTORS.shrinkage
         > 2 * crossfit.CLASSES.own * crossfit.CLASSES.shrinkage

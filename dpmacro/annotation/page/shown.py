@@ -64,38 +64,24 @@ class Shown:
 
 
 def check(stages: Stages, shown: Shown) -> None:
-    """Raise ValueError, one line, where parts do not fit together or hold what cannot be shown."""
-    frames, n_stages = int(stages.lengths.sum()), len(stages.names)
-    if not len(stages.lengths) or (stages.lengths < 1).any():
-        raise ValueError(f"lengths {stages.lengths.tolist()}: give demonstrations of one frame at least")
-    if len(stages.episodes) != len(stages.lengths):
-        raise ValueError(f"{len(stages.episodes)} episodes of {len(stages.lengths)} lengths: give one each")
-    if not n_stages or len(set(stages.names)) < n_stages or not all(map(str.strip, stages.names)):
-        raise ValueError(f"stages {list(stages.names)}: give names that are distinct and not empty")
+    """Raise ValueError, one line, where what is shown does not fit the stages."""
+    frames, n_stages = len(stages.labels), len(stages.names)
     if shown.reasons and len(shown.reasons) != n_stages:
         raise ValueError(f"{len(shown.reasons)} reasons of {n_stages} stages: give one each, or none")
-    if not (np.isfinite(stages.fps) and stages.fps > 0):
-        raise ValueError(f"fps={stages.fps}: give a positive number")
-    of_frames = ("labels", "confidence", "idle", "corrected", "timestamps")
-    rows = {name: getattr(stages, name) for name in of_frames}
-    labels = [("labels", stages.labels, n_stages)]
-    if shown.truth is not None:
-        rows["truth"] = shown.truth.labels
-        labels.append(("truth", shown.truth.labels, len(shown.truth.names)))
+    rows = {}
     for curves in shown.curves:
-        rows[f"curve {', '.join(curves.names[:3])}"] = curves.values
+        rows[f"curve {', '.join(curves.names[:3])}"] = len(curves.values)
         if curves.values.shape[1] != len(curves.names):
             raise ValueError(
                 f"curves of {curves.values.shape[1]} numbers with {len(curves.names)} names: give one each"
             )
-    for name, values in rows.items():
-        if len(values) != frames:
-            raise ValueError(f"{name} of {len(values)} frames: the demonstrations have {frames}")
-    for name, values, count in labels:
-        if values.min() < 0 or values.max() >= count:
-            raise ValueError(f"{name} from {values.min()} to {values.max()}: give 0 to {count - 1}")
-    sure = stages.confidence
-    if not ((sure >= 0) & (sure <= 1)).all():
-        raise ValueError(f"confidence from {sure.min()} to {sure.max()}: give 0 to 1")
-    if not np.isfinite(stages.timestamps).all():
-        raise ValueError("timestamps that are not finite: give seconds")
+    truth = shown.truth
+    if truth is not None:
+        rows["truth"] = len(truth.labels)
+    for name, count in rows.items():
+        if count != frames:
+            raise ValueError(f"{name} of {count} frames: the demonstrations have {frames}")
+    if truth is not None and (truth.labels.min() < 0 or truth.labels.max() >= len(truth.names)):
+        raise ValueError(
+            f"truth from {truth.labels.min()} to {truth.labels.max()}: give 0 to {len(truth.names) - 1}"
+        )
