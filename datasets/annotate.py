@@ -27,6 +27,7 @@ from dpmacro.annotation.corrections import Corrections
 from dpmacro.annotation.exports.dataset import write_labels
 from dpmacro.annotation.exports.folders import refuse_places
 from dpmacro.annotation.exports.formats import FORMATS
+from dpmacro.annotation.exports.labelling import open_for_labels
 from dpmacro.annotation.idle import idle_frames, moving_columns
 from dpmacro.annotation.naming import StageName, checked_names, stage_names
 from dpmacro.annotation.pictures import picture_count, pictures
@@ -114,6 +115,11 @@ class AnnotateOptions:
                 raise ValueError(f"formats hold {name!r}: choose from {', '.join(FORMATS)}")
         if self.formats is not None and self.output is None:
             raise ValueError("formats are of a new dataset: give --output=<its folder>")
+        if self.output is not None and (self.dataset.episodes is not None or self.dataset.task is not None):
+            raise ValueError(
+                "a new dataset has labels in all episodes: leave dataset.episodes and dataset.task out, or "
+                "give no --output"
+            )
         if self.names is not None:
             checked_names(self.names)
         if self.policy.path is not None:
@@ -152,6 +158,7 @@ def main(options: AnnotateOptions) -> None:
         raise ValueError(f"{output_dir} already holds a {NUMBERS}: give another --output_dir")
     if options.output is not None:
         refuse_places(root, options.output)
+        open_for_labels(root)
     corrections = None if options.corrections is None else Corrections.load(options.corrections)
     segmented = trained(options, output_dir) if options.policy.path is None else by_policy(options)
     demonstrations = segmented.demonstrations
@@ -228,6 +235,7 @@ def trained(options: AnnotateOptions, output_dir: Path) -> Segmented:
     found = annotate(result.policy, demonstrations)
     if bool((found.labels == result.found.labels).all()):
         found = replace(found, confidence=result.found.confidence)
+    print(f"policy      {result.pretrained}")  # at once: --policy.path takes it, should writing fail
     notes = result.notes
     if result.choice is not None:
         macros, bound = result.choice.setting

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -55,6 +56,10 @@ def call(script, monkeypatch, *options):
         (["--dataset.root=x", "--names=[reach, reach]"], "give every stage a name of its own"),
         (["--dataset.root=x", "--corrections=y.json"], "y.json"),
         (["--dataset.root=x", "--output=x/y"], "x/y"),
+        (
+            ["--dataset.root=x", "--output=y", "--dataset.episodes=[1]"],
+            "leave dataset.episodes and dataset.task",
+        ),
         (["--policy.path=x"], "no demonstrations: give --dataset.root"),
         (["--policy.path=x", "--dataset.root=y"], "x holds no config.json"),
         (["--policy.path=x", "--dataset.root=y", "--tolerance=-1"], "--tolerance=-1: it must be at least 0"),
@@ -185,14 +190,29 @@ def test_stages_are_found_written_corrected_and_written_again(
     assert len(rows) == 1 + sum(map(len, corrected.segments)) and sum("person" in row for row in rows) == 2
 
 
-def test_what_cannot_be_written_is_said_before_anything_is_drawn(
+def test_what_cannot_be_written_is_said_and_the_policy_stays(
     script, quick_search, recorded, tmp_path, monkeypatch, capsys
 ):
-    options = [f"--dataset.root={recorded}", *SMALL, "--planner.rectangles=32", "--dataset.episodes=[1,3]"]
+    options = [f"--dataset.root={recorded}", *SMALL, "--planner.rectangles=32", "--names=[one, two, three]"]
     with pytest.raises(SystemExit) as exit_:
         call(
             script, monkeypatch, *options, f"--output={tmp_path / 'new'}", f"--output_dir={tmp_path / 'page'}"
         )
-    error = capsys.readouterr().err.splitlines()[-1]
-    assert exit_.value.code == 2 and "have no labels" in error and not (tmp_path / "new").exists()
-    assert not (tmp_path / "page/segmentation.html").exists()
+    told = capsys.readouterr()
+    assert exit_.value.code == 2 and "give one for each stage" in told.err.splitlines()[-1]
+    assert not (tmp_path / "new").exists() and not (tmp_path / "page/segmentation.html").exists()
+    assert "policy      " in told.out
+    assert (tmp_path / "page/training/checkpoints/last/pretrained_model/config.json").exists()
+
+
+def test_a_dataset_into_which_nothing_can_be_written_is_refused_before_a_search(
+    script, recorded, tmp_path, monkeypatch, capsys
+):
+    root = tmp_path / "old"
+    shutil.copytree(recorded, root)
+    info = json.loads((root / "meta/info.json").read_text())
+    (root / "meta/info.json").write_text(json.dumps({**info, "codebase_version": "v2.1"}))
+    monkeypatch.setattr(script, "trained", lambda *_: pytest.fail("searched"))
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, f"--dataset.root={root}", f"--output={tmp_path / 'new'}")
+    assert exit_.value.code == 2 and "v2.1" in capsys.readouterr().err

@@ -18,7 +18,7 @@ from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
 from dpmacro.data.lerobot.tables import HALF_COPIED, read_json
 
-__all__ = ["formats_of", "labelled_dataset", "read_labels"]
+__all__ = ["formats_of", "labelled_dataset", "open_for_labels", "read_labels"]
 
 
 def labelled_dataset(root: Path, stages: Stages) -> Labelled:
@@ -27,7 +27,7 @@ def labelled_dataset(root: Path, stages: Stages) -> Labelled:
     Raises DatasetError where the dataset is of another format than v3, damaged or incomplete, and ValueError
     where its episodes are others than those of the labels.
     """
-    store = _open(root)
+    store = open_for_labels(root)
     for episode in store.episodes:
         for video in episode.videos.values():
             if isinstance(video, str):
@@ -59,7 +59,7 @@ def read_labels(root: str | Path, names: Sequence[str] | None = None) -> Stages:
     Raises DatasetError where the dataset has no stages, or no names of them.
     """
     root = Path(root)
-    store = _open(root)
+    store = open_for_labels(root)
     missing = [name for name in MacroAction.columns if name not in store.features]
     if missing:
         raise DatasetError(f"dataset {root}: has no column {', '.join(missing)}; annotate it")
@@ -91,7 +91,8 @@ def read_labels(root: str | Path, names: Sequence[str] | None = None) -> Stages:
         raise DatasetError(f"dataset {root}: {error}") from error
 
 
-def _open(root: Path) -> StoredDataset:
+def open_for_labels(root: Path) -> StoredDataset:
+    """The dataset in a folder. Raises DatasetError where labels cannot be written into its like."""
     store = StoredDataset.open(root)
     version = str(store.info.get("codebase_version"))
     if not version.startswith("v3."):
