@@ -20,10 +20,10 @@ import numpy as np
 from tqdm import tqdm
 
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.data.images import ImageTransform
 from dpmacro.discovery.model_order import Choice
 from dpmacro.metrics import boundary_counts, frame_accuracy
 from dpmacro.metrics.success import wilson_interval
+from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
 from dpmacro.training.options import TrainOptions
 from dpmacro.training.run_folder import RunFolder
@@ -39,19 +39,7 @@ TOLERANCE = 10  # frames by which a found change point may miss a true one
 def main(options: TrainOptions) -> None:
     job_name = options.job_name or options.planner.type
     folder = RunFolder(options.output_dir) if options.output_dir else RunFolder.dated(job_name)
-    dataset = options.dataset
-    assert dataset.root is not None, "the options checked it"
-    transform = ImageTransform(dataset.image_size, memory=options.planner.memory_limit)
-    demonstrations = Demonstrations.load(
-        dataset.root,
-        dataset.episodes,
-        inputs=dataset.inputs,
-        camera=dataset.camera,
-        action=dataset.action,
-        truth=dataset.truth,
-        transform=transform,
-        task=dataset.task,
-    )
+    demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit)
     options, given = labelled(options, demonstrations)
     started = time.perf_counter()
     if options.dagger.iterations:

@@ -35,8 +35,8 @@ from dpmacro.annotation.report import NUMBERS, PAGE, SHOWN, score_text, stages_o
 from dpmacro.annotation.stages import Stages
 from dpmacro.annotation.summary import Summary
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.data.images import ImageTransform
 from dpmacro.policy.policy import MacroPolicy
+from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
 from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
@@ -216,17 +216,7 @@ def by_policy(options: AnnotateOptions) -> Segmented:
 def trained(options: AnnotateOptions, output_dir: Path) -> Segmented:
     """Find the stages as train.py does; the confidence is that of classifiers that never saw a frame."""
     dataset, planner = options.dataset, options.planner
-    assert dataset.root is not None, "the options checked it"
-    demonstrations = Demonstrations.load(
-        dataset.root,
-        dataset.episodes,
-        inputs=dataset.inputs,
-        camera=dataset.camera,
-        action=dataset.action,
-        truth=dataset.truth,
-        transform=ImageTransform(dataset.image_size, memory=planner.memory_limit),
-        task=dataset.task,
-    )
+    demonstrations = read_demonstrations(dataset, planner.memory_limit)
     if dataset.labels is not None and planner.macros == "auto":
         planner = replace(planner, macros=None)  # as many as the labels have names
     training = TrainOptions(dataset=dataset, planner=planner, seed=options.seed, device=options.device)

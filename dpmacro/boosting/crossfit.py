@@ -72,31 +72,31 @@ def left_out_scores(
 
     So many candidates grow at a time as `TABLE` allows, each lot with the same draws.
     """
+    generator = torch.Generator().manual_seed(seed)
+    fold_of = frame_folds(lengths, CLASSIFIER_FOLDS, generator, groups)
+    drawn, pace = generator.get_state(), pace_of(actions)
+    learner = StumpLearner(data, drawn=pace.columns)
     room = len(actions) * CLASSIFIER_FOLDS * n_macros * max(actions[0].numel(), 1)
-    parts = [
-        _scores_of(data, actions, lengths, some, n_macros, loss, seed, groups, on_round)
-        for some in candidates.split(max(TABLE // room, 1))
-    ]
+    parts = []
+    for some in candidates.split(max(TABLE // room, 1)):
+        generator.set_state(drawn)
+        parts.append(_grown(learner, actions, fold_of, some, n_macros, loss, pace, generator, on_round))
     return LeftOutScores(torch.cat([part.macros for part in parts]), parts[0].alone)
 
 
-def _scores_of(
-    data: SortedLevels,
+def _grown(
+    learner: StumpLearner,
     actions: Num[Tensor, "frames *dims"],
-    lengths: Int64[Tensor, " trajectories"],
+    fold_of: Int64[Tensor, " frames"],
     candidates: Int64[Tensor, "candidates frames"],
     n_macros: int,
     loss: Loss,
-    seed: int,
-    groups: Int64[Tensor, " trajectories"] | None,
+    pace: Pace,
+    generator: torch.Generator,
     on_round: Callable[[Round], None],
 ) -> LeftOutScores:
-    """`left_out_scores` of candidates that grow side by side."""
-    generator = torch.Generator().manual_seed(seed)
-    fold_of = frame_folds(lengths, CLASSIFIER_FOLDS, generator, groups)
+    """Scores of candidates that grow side by side."""
     n_folds = int(fold_of.max()) + 1
-    pace = pace_of(actions)
-    learner = StumpLearner(data, drawn=pace.columns)
     kept = (fold_of[:, None] != torch.arange(n_folds)).float()
     kept = kept.to(learner.device)
     held = torch.nn.functional.one_hot(candidates, n_macros).float().transpose(0, 1).to(learner.device)

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from dpmacro.boosting.crossfit import CLASSIFIER_FOLDS
 from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.data.images import ImageTransform
 from dpmacro.data.vectors import ActionTransform
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
 from dpmacro.features.base import Encoder, Observation, frame_bytes
@@ -24,9 +25,9 @@ from dpmacro.features.memory import DRAWN, Demand, Plan
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.recovery import MAX_ACTIONS
 from dpmacro.switching.training import SWITCH_FOLDS
-from dpmacro.training.options import TrainOptions
+from dpmacro.training.options import DatasetOptions, TrainOptions
 
-__all__ = ["Columns", "TrainingData", "state_key"]
+__all__ = ["Columns", "TrainingData", "read_demonstrations", "state_key"]
 
 TASK = "task_index"
 WINDOW = 0.5  # seconds of the longer change of a state
@@ -34,6 +35,25 @@ EPISODES = 5  # demonstrations of a task, on average, for it to be an input
 PAIRS = 512  # differences of two numbers of a state, at most
 MIRRORED = 3  # images for one while networks get mirror images: the mirror image, and both in one tensor
 TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
+
+
+def read_demonstrations(dataset: DatasetOptions, memory: float) -> Demonstrations:
+    """The demonstrations that options name; their images take `memory` GiB at most.
+
+    Errors are those of `Demonstrations.load`, and ValueError where no dataset is named.
+    """
+    if dataset.root is None:
+        raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
+    return Demonstrations.load(
+        dataset.root,
+        dataset.episodes,
+        inputs=dataset.inputs,
+        camera=dataset.camera,
+        action=dataset.action,
+        truth=dataset.truth,
+        transform=ImageTransform(dataset.image_size, memory=memory),
+        task=dataset.task,
+    )
 
 
 @dataclass(frozen=True)
