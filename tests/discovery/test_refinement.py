@@ -2,15 +2,26 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from visible import functions_of, task_of, visible_change
 
 from dpmacro.boosting.losses.classes import ExponentialLoss
+from dpmacro.discovery import refinement
 from dpmacro.discovery.candidates import Candidate, Task, action_charges, score_candidates
 from dpmacro.discovery.criteria import CandidateScores, best_candidate
-from dpmacro.discovery.refinement import COST_LIMIT, MERGED, _cheapest, merged, recut, resegmented, simplified
+from dpmacro.discovery.refinement import (
+    COST_LIMIT,
+    MERGED,
+    SWEEPS,
+    _cheapest,
+    merged,
+    recut,
+    resegmented,
+    simplified,
+)
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 from dpmacro.segmentation.segments import macro_segments, transition_counts
@@ -176,3 +187,22 @@ def test_of_many_macro_actions_those_are_merged_first_that_do_alike():
     assert torch.equal(kept[0], together)
     few = merged(labels.clamp(max=3))
     assert _cheapest(few, candidate, task) == few, "of up to four macro-actions all are scored"
+
+
+@pytest.mark.parametrize(("better", "sweeps"), [(False, 1), (True, SWEEPS)])
+def test_cutting_again_goes_on_for_as_long_as_it_helps(monkeypatch, better, sweeps):
+    data, actions, lengths, truth = visible_change()
+    task = task_of(actions, lengths)
+    scored = score_candidates(data, task, truth[None])
+    calls = []
+
+    def score(data, task, labels, *_):
+        calls.append(len(labels))
+        of = scored[0].scores
+        causal = of.causal - 0.01 * len(calls) if better else of.causal + 1
+        return [replace(scored[0], labels=one, scores=replace(of, causal=causal)) for one in labels]
+
+    monkeypatch.setattr(refinement, "score_candidates", score)
+    monkeypatch.setattr(refinement, "resegmented", lambda *_: truth.roll(1 + len(calls)))
+    recut(scored, data, task, 1.0)
+    assert len(calls) == sweeps
