@@ -8,6 +8,7 @@ found anew without --fresh=true. A method that is not installed, or has no answe
 """
 
 import json
+import math
 import shlex
 import signal
 import sys
@@ -72,12 +73,12 @@ Row = dict[str, Any]
 
 
 def dpmacro(source: Source, seed: int, quick: bool) -> Found:
-    """DPBoost as train.py runs it by default, told Q and the largest number of changes in a trajectory.
+    """DPBoost as train.py runs it by default, told Q and how many changes a trajectory has: the median.
 
     Images become the default's rectangles; numbers beside classes are taken as they are. Where actions are
     vectors the numbers are a state, and become its columns, and actions are learned as train.py would.
     """
-    macros, bound = source.macros, max(source.changes)
+    macros, bound = source.macros, math.ceil(np.median(source.changes))
     small: dict[str, Any] = {"rounds": 10, "restarts": 4, "switch_rounds": 20} if quick else {}
     dpboost = DPBoost(macros=macros, max_transitions=bound, seed=seed, **small)
     lengths, generator = torch.from_numpy(source.lengths), torch.Generator().manual_seed(seed)

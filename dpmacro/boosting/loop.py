@@ -34,7 +34,7 @@ class Round:
     accuracy: float  # share of training frames whose class is right, or of the variance explained, likewise
     labels: (
         Int64[Tensor, " frames"] | None
-    )  # macro-labels, likewise; None where there is not one segmentation
+    )  # macro-labels, likewise; None where there is not one segmentation of all frames
     label_changes: float = 0.0  # share of frames whose macro-label this round changed
     ended: tuple[int, ...] = ()  # macro-actions or switch functions that found nothing better than chance
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from dpmacro.discovery.candidates import Task
-from dpmacro.discovery.race import field_of
+from dpmacro.discovery.fields import field_of
 from dpmacro.discovery.starts import Moments, evidence_of, linear_alternation, vector_starts
 from dpmacro.features.levels import SortedLevels
 
@@ -31,14 +31,14 @@ class Order:
 def order_of(data: SortedLevels, task: Task) -> Order:
     """The least error of the linear alternation with one order for all demonstrations, and without.
 
-    Either begins at starts of all kinds. Where there are many frames both are on some whole trajectories. The
+    Either begins at starts of all kinds. Where there are many trajectories both are on some of them. The
     task's actions are vectors, its Q and S those up to which an order is wanted.
     """
     losses = {}
     for order in ("chain", "free"):
         generator = torch.Generator().manual_seed(task.seed)
         bound = task.macros - 1 if order == "chain" else task.max_transitions
-        field = field_of(data, replace(task, order=order, max_transitions=bound), generator)
+        field = field_of(data, replace(task, order=order, max_transitions=bound))
         evidence = evidence_of(field.data.levels, field.task, generator)
         moments = Moments(evidence)
         kinds = vector_starts(field.data.levels, evidence, moments, STARTS, generator)

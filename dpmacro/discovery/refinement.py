@@ -17,11 +17,12 @@ from dpmacro.discovery.candidates import (
     score_candidates,
 )
 from dpmacro.discovery.criteria import best_candidate
+from dpmacro.discovery.result import Discovery
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 from dpmacro.switching.costs import change_log_odds, charges_of
 
-__all__ = ["merged", "recut", "resegmented", "simplified"]
+__all__ = ["fewer", "merged", "recut", "resegmented", "simplified"]
 
 SWEEPS = 3  # in which switch functions cut, at most
 MERGED = 6  # segmentations with two macro-actions made one that are scored at a time: all of up to four
@@ -101,6 +102,27 @@ def simplified(
         scored += score_candidates(data, task, torch.stack(simpler), on_round)
         if best_candidate([one.scores for one in scored], task.vectors) == best:
             return scored
+
+
+def fewer(
+    data: SortedLevels, found: Discovery, on_round: Callable[[Round], None] = lambda _: None
+) -> list[Discovery]:
+    """The segmentation to keep with ever fewer macro-actions, down to two: two are made one each time.
+
+    Each step makes those two one that left-out data prefers as one; S is then what is left of transitions.
+    `data` are the levels of the frames that were searched.
+    """
+    results: list[Discovery] = []
+    kept, task = found.kept, found.task
+    while len(kept.used) > 2:
+        labellings = _cheapest(merged(kept.labels), kept, task)
+        task = replace(task, macros=len(kept.used) - 1)
+        candidates = score_candidates(data, task, torch.stack(labellings), on_round)
+        best = best_candidate([one.scores for one in candidates], task.vectors)
+        kept = candidates[best]
+        task = replace(task, max_transitions=kept.transitions(task.lengths))
+        results.append(replace(found, task=task, candidates=tuple(candidates), best=best))
+    return results
 
 
 def _cheapest(

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from dpmacro.discovery.alternation import Alternated
@@ -18,10 +18,11 @@ __all__ = ["Discovery"]
 class Discovery:
     """Candidate segmentations and what left-out data says of them."""
 
-    task: Task
+    task: Task  # of the trajectories that were searched
     alternated: Alternated  # from every initial segmentation
     candidates: tuple[Candidate, ...]  # outcomes, then what the switch functions made of the best of them
     best: int  # the one to keep, a place in `candidates`
+    drawn: Bool[Tensor, " trajectories"] | None = None  # that were searched; None for all of them
 
     @property
     def macros(self) -> int:

@@ -17,6 +17,7 @@ from dpmacro.boosting.loop import Round
 from dpmacro.discovery.alternation import Alternated, pooled
 from dpmacro.discovery.candidates import Candidate, Task, distinct, score_candidates
 from dpmacro.discovery.criteria import best_candidate
+from dpmacro.discovery.fields import Field, extended, field_of
 from dpmacro.discovery.race import boosted, boosted_in_turn, raced, taught
 from dpmacro.discovery.refinement import recut, simplified
 from dpmacro.discovery.result import Discovery
@@ -32,7 +33,7 @@ from dpmacro.discovery.starts import (
 )
 from dpmacro.features.levels import SortedLevels
 
-__all__ = ["adopt", "discover"]
+__all__ = ["adopt", "discover", "spread"]
 
 EVERY = 4  # macro-actions up to which every number of them is searched
 PEAKS = 2  # candidates a restart cut at feature peaks, of classes and with two macro-actions; else fewer
@@ -47,7 +48,9 @@ def discover(
     shrinkage: float,
     on_round: Callable[[Round], None] = lambda _: None,
 ) -> Discovery:
-    """Find candidate segmentations and score them on left-out data.
+    """Find candidate segmentations in a field of the trajectories and score them on left-out data.
+
+    The paper's recipe sees all trajectories, and so does whoever asks for the least training loss.
 
     Args:
         data: levels of every frame.
@@ -57,6 +60,10 @@ def discover(
         shrinkage: factor in (0, 1] on every weak hypothesis.
         on_round: called after every boosting round.
     """
+    field = field_of(data, task) if settings.criterion == "left_out" else Field(data, task, None)
+    data, task = field.data, field.task
+    if field.drawn is not None:
+        on_round = _without_labels(on_round)
     if task.vectors and settings.starts != "random":
         alternated = _raced(data, task, settings, restarts, shrinkage, on_round)
     else:
@@ -68,9 +75,31 @@ def discover(
         least = alternated.labels[alternated.loss[-1].argmin()]
         return Discovery(task, alternated, tuple(score_candidates(data, task, least[None], on_round)), 0)
     candidates = _scored(data, task, alternated, settings, restarts, on_round)
-    return Discovery(
-        task, alternated, tuple(candidates), best_candidate([one.scores for one in candidates], task.vectors)
-    )
+    best = best_candidate([one.scores for one in candidates], task.vectors)
+    return Discovery(task, alternated, tuple(candidates), best, field.drawn)
+
+
+def spread(
+    data: SortedLevels,
+    task: Task,
+    found: Discovery,
+    settings: SearchSettings,
+    on_round: Callable[[Round], None] = lambda _: None,
+) -> Discovery:
+    """What a search in some trajectories found, for all of them; as it is where it saw all.
+
+    The segmentation to keep labels the others (`fields.extended`), with no more transitions than it has in
+    any trajectory that was searched; that and what switch functions make of it are scored anew.
+    """
+    if found.drawn is None:
+        return found
+    bound = found.kept.transitions(found.task.lengths)
+    labels = extended(data, task, field_of(data, task), found.kept.labels, bound)
+    scored = score_candidates(data, task, labels[None], on_round)
+    if settings.switch_weight > 0 and task.n_groups > 1:
+        scored = recut(scored, data, task, settings.switch_weight, on_round)
+    best = best_candidate([one.scores for one in scored], task.vectors)
+    return Discovery(task, found.alternated, tuple(scored), best)
 
 
 def adopt(
@@ -83,6 +112,11 @@ def adopt(
     [candidate] = score_candidates(data, task, labels[None], on_round)
     loss = torch.tensor([[float(candidate.scores.hindsight.sum())]])
     return Discovery(task, Alternated(labels[None], loss), (candidate,), 0)
+
+
+def _without_labels(on_round: Callable[[Round], None]) -> Callable[[Round], None]:
+    """`on_round` told nothing of labels, which are of some trajectories only."""
+    return lambda report: on_round(replace(report, labels=None))
 
 
 def _alternated(

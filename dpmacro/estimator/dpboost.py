@@ -20,7 +20,7 @@ from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Round
 from dpmacro.discovery.result import Discovery
-from dpmacro.discovery.search import adopt, discover
+from dpmacro.discovery.search import adopt, discover, spread
 from dpmacro.estimator.arguments import (
     Standardiser,
     as_actions,
@@ -271,6 +271,8 @@ class DPBoost:
             discovery = self.discover_levels(data, actions, lengths, **shared)
         options = self.get_params()
         search = search_of(options)
+        if discovery is not None:
+            discovery = spread(data, task, discovery, search, on_round)
         fit = FinalFit(
             StumpLearner(data) if learner is None else learner,
             StumpLearner(data, SWITCH_DRAWN) if switch_learner is None else switch_learner,

@@ -15,8 +15,10 @@ from torch.utils.tensorboard import SummaryWriter
 
 from dpmacro import figures
 from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.discovery.fields import field_of
 from dpmacro.discovery.model_order import Choice, choose
 from dpmacro.discovery.order import order_of
+from dpmacro.discovery.refinement import fewer
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.settings import paper_switches
 from dpmacro.estimator.arguments import task_of
@@ -194,15 +196,25 @@ class Trainer:
         self._settings, self._order_notes = _settings(self.options.planner), notes
 
     def _choose(self, data: SortedLevels, writer: SummaryWriter) -> Choice:
-        """Search with every setting, one macro-action aside, and choose by data that was left out."""
-        discoveries = []
-        for macros, bound in self._settings[1:]:
+        """Search with every setting, one macro-action aside, and choose by data that was left out.
+
+        Of vectors the search with most macro-actions serves for all numbers of them (`refinement.fewer`): one
+        more always explains a little more, and two that differ little are made one.
+        """
+        vectors, discoveries = self.demonstrations.vector, []
+        for macros, bound in self._settings[-1:] if vectors else self._settings[1:]:
             monitor = Monitor(writer, self.demonstrations, macros, f"Q{macros}_S{bound}")
             shared = {"groups": self.data.groups, "on_round": monitor.on_round}
             given = data, self.data.actions, self.data.lengths
-            discoveries.append(self._dpboost(macros, bound).discover_levels(*given, **shared))
+            dpboost = self._dpboost(macros, bound)
+            found = dpboost.discover_levels(*given, **shared)
+            if found is not None:
+                discoveries.append(found)
+                if vectors:
+                    field = field_of(data, task_of(dpboost.get_params(), *given, self.data.groups))
+                    discoveries += fewer(field.data, found, monitor.on_round)
             monitor.close()
-        choice = choose([one for one in discoveries if one is not None])
+        choice = choose(discoveries)
         chart = figures.selection_chart(choice.points, choice.place, "How many macro-actions?")
         TrainingPictures(writer, self.folder.figures).add("selection", chart)
         return choice
