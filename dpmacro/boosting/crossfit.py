@@ -11,7 +11,7 @@ from dpmacro.boosting.folds import frame_folds
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.boosting.losses.base import Loss
-from dpmacro.features.levels import SortedLevels
+from dpmacro.features.levels import LEVELS, SortedLevels
 
 __all__ = ["CLASSIFIER_FOLDS", "LeftOutScores", "Pace", "left_out_scores", "pace_of"]
 
@@ -27,12 +27,13 @@ class Pace:
     own: int  # rounds of each after those
     shrinkage: float
     columns: int  # random ones searched a round
+    bins: int  # of a column, at most
 
 
-CLASSES = Pace(shared=60, own=40, shrinkage=0.2, columns=128)
+CLASSES = Pace(shared=60, own=40, shrinkage=0.2, columns=128, bins=LEVELS)
 # Squared errors fall slowly. Classifiers that stop early, or have most rounds in common, cannot tell what a
 # macro-action's own model explains.
-VECTORS = Pace(shared=20, own=80, shrinkage=0.5, columns=48)
+VECTORS = Pace(shared=20, own=80, shrinkage=0.5, columns=48, bins=64)
 
 
 def pace_of(actions: Num[Tensor, "frames *dims"]) -> Pace:
@@ -75,7 +76,7 @@ def left_out_scores(
     generator = torch.Generator().manual_seed(seed)
     fold_of = frame_folds(lengths, CLASSIFIER_FOLDS, generator, groups)
     drawn, pace = generator.get_state(), pace_of(actions)
-    learner = StumpLearner(data, drawn=pace.columns)
+    learner = StumpLearner(data, drawn=pace.columns, bins=pace.bins)
     room = len(actions) * CLASSIFIER_FOLDS * n_macros * max(actions[0].numel(), 1)
     parts = []
     for some in candidates.split(max(TABLE // room, 1)):

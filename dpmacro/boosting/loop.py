@@ -81,6 +81,7 @@ class Boosting:
         )
         self._failures = torch.zeros(shape[1], dtype=torch.int64, device=learner.device)
         self._terms = self.loss.terms(self.scores, self.targets)
+        self._lost = self._terms.sum(2)
         self._rounds: list = []
         self._steps: list[Tensor] = []
         self._memory: object = None
@@ -96,23 +97,25 @@ class Boosting:
             raise ValueError(f"a base weight is {float(base.min())}: weights must be 0 or more")
         self._revive(base)
         active = base * ~self.ended
-        before = (active[:, :, None] * self._terms).sum((0, 2), dtype=torch.float64)
+        before = (active * self._lost).sum(0, dtype=torch.float64)
         weights, responses = self.loss.working(self._terms, self.scores, self.targets, active)
         hypotheses, self._memory = self.learner.fit(
             weights, responses, self.generator, self._memory, self.loss
         )
         steps = self.shrinkage * (~self.ended).to(weights.dtype)
-        scores = self.scores + steps[:, None] * self.learner.outputs(hypotheses)
+        scores = self.learner.outputs(hypotheses).mul_(steps[:, None]).add_(self.scores)
         terms = self.loss.terms(scores, self.targets)
-        after = (base[:, :, None] * terms).sum((0, 2), dtype=torch.float64)
+        lost = terms.sum(2)
+        after = (base * lost).sum(0, dtype=torch.float64)
         chance = (before > 0) & ~(after <= before * (1 - CHANCE))
         self._failures = torch.where(chance, self._failures + 1, 0)
         if bool(chance.any()):
             steps[chance] = 0
             scores[:, chance], terms[:, chance] = self.scores[:, chance], self._terms[:, chance]
+            lost[:, chance] = self._lost[:, chance]
         ending = (self._failures == TRIES) & ~self.ended
         self.ended = self.ended | ending
-        self.scores, self._terms = scores, terms
+        self.scores, self._terms, self._lost = scores, terms, lost
         self._rounds.append(hypotheses)
         self._steps.append(steps)
         return ending.nonzero()[:, 0]
@@ -127,7 +130,7 @@ class Boosting:
 
     def losses(self) -> Float[Tensor, "frames problems"]:
         """c_n of every frame and problem, the loss summed over outputs: the cost of holding the frame."""
-        return self._terms.sum(2)
+        return self._lost
 
     def strong(self, rounds: Int64[Tensor, " problems"] | None = None) -> StrongClassifier:
         """The strong classifiers of all rounds so far, or of the first `rounds` of every problem."""

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
+from dpmacro.boosting.crossfit import pace_of
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.discovery.alternation import Alternated, alternate, pooled
@@ -40,7 +41,7 @@ def boosted(
     on_round: Callable[[Round], None] = lambda _: None,
 ) -> Alternated:
     """The alternation from these starts, on random columns."""
-    learner = StumpLearner(data, drawn=settings.drawn)
+    learner = StumpLearner(data, drawn=settings.drawn, bins=pace_of(task.actions).bins)
     targets, n_problems = task.loss.targets(task.actions), len(starts) * task.macros
     boosting = Boosting(learner, targets, n_problems, shrinkage, generator, loss=task.loss)
     warmup = min(settings.warmup, settings.rounds // 2)

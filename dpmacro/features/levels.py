@@ -124,19 +124,38 @@ class SortedLevels:
             self.fullest[places],
         )
 
-    def chunks(self, size: int) -> Iterator[SortedColumns]:
-        """The sorted columns, `size` at a time, with no more bins than the chunk needs."""
+    def chunks(self, size: int, most: int = LEVELS) -> Iterator[SortedColumns]:
+        """The sorted columns, `size` at a time, with no more bins than the chunk needs, and `most` at most.
+
+        Where a column has more, bins side by side are taken together, as many for each but the last; the
+        threshold of such a bin is the highest level in it.
+        """
         for first in range(0, len(self.columns), size):
             part = slice(first, first + size)
-            ends = self.ends[part]
+            ends, counts = self.ends[part], self.counts[part]
             offset = int(self.ends[first - 1]) if first else 0
-            width = int(self.counts[part].max())
+            width = int(counts.max())
             before = torch.nn.functional.pad(ends[:-1] - offset, (1, 0)).to(torch.int32)
-            yield SortedColumns(
-                self.order[offset : int(ends[-1])],
-                self.starts[part, :width] + before.to(self.starts.device)[:, None],
+            starts, thresholds, fullest = (
+                self.starts[part, :width],
                 self.thresholds[part, :width],
                 self.fullest[part],
+            )
+            if width > most:
+                together = (-(-counts // most)).to(starts.device)[:, None]
+                firsts = torch.arange(most, device=starts.device) * together
+                lasts = torch.minimum(firsts + together, counts.to(starts.device)[:, None]) - 1
+                ended = firsts > lasts
+                listed = (ends.diff(prepend=torch.tensor([offset]))).to(starts.device)[:, None]
+                starts = torch.where(ended, listed, starts.gather(1, firsts.clamp(max=width - 1)))
+                starts = starts.to(torch.int32)
+                thresholds = thresholds.gather(1, lasts.clamp(min=0))
+                fullest = fullest // together[:, 0]
+            yield SortedColumns(
+                self.order[offset : int(ends[-1])],
+                starts + before.to(starts.device)[:, None],
+                thresholds,
+                fullest,
             )
 
 

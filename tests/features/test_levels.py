@@ -58,3 +58,37 @@ def test_taken_columns_are_the_same_sorted_before_or_then():
     whole = bins_of(SortedLevels.build(levels), 16)
     for data in (SortedLevels.build(levels), SortedLevels.unsorted(levels)):
         assert bins_of(data.take(columns), 3) == {int(column): whole[int(column)] for column in columns}
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 2**16),
+    n_columns=st.integers(1, 9),
+    n_frames=st.integers(1, 300),
+    n_levels=st.sampled_from([1, 3, 20, 256]),
+    size=st.sampled_from([1, 4, 128]),
+    most=st.integers(1, 40),
+)
+def test_bins_side_by_side_are_taken_together(seed, n_columns, n_frames, n_levels, size, most):
+    generator = np.random.default_rng(seed)
+    levels = generator.integers(0, generator.integers(1, n_levels + 1, (n_columns, 1)), (n_columns, n_frames))
+    data = SortedLevels.build(torch.tensor(levels.astype(np.uint8)))
+    column = 0
+    for chunk in data.chunks(size, most):
+        starts, width = [*chunk.starts.flatten().tolist(), len(chunk.order)], chunk.starts.shape[1]
+        assert width <= most
+        for k in range(len(chunk.starts)):
+            present = np.unique(levels[column])
+            together = -(-len(present) // most)
+            groups = [present[first : first + together] for first in range(0, len(present), together)]
+            full = max(present, key=lambda level: ((levels[column] == level).sum(), -level))
+            for place in range(width):
+                listed = chunk.order[starts[k * width + place] : starts[k * width + place + 1]].tolist()
+                group = groups[place] if place < len(groups) else []
+                own = np.flatnonzero(np.isin(levels[column], group) & (levels[column] != full))
+                assert sorted(listed) == own.tolist()
+                if place < len(groups):
+                    assert int(chunk.thresholds[k, place]) == group[-1]
+                    assert (full in group) == (place == int(chunk.fullest[k]))
+            column += 1
+    assert column == n_columns

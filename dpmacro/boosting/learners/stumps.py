@@ -102,10 +102,13 @@ class StumpLearner:
     `smoothing` times the mean weight of a frame that has any, so votes stay finite and never overshoot the
     exact minimiser.
 
-    Two options trade exactness for time:
+    Three options trade exactness for time:
         drawn: columns, drawn at random, that are searched instead of all, where it is not 0.
         reuse: rounds that a search serves, 1 for just its own. Drawn columns stay for so many rounds; where
             all columns are searched, the best of every problem are searched alone in the rounds that follow.
+
+        bins: levels side by side of a column that has more than so many are taken together, with one
+            threshold for all.
 
     Where the data holds no sorted columns, those drawn are sorted when they are drawn, and stay for at least
     `REDRAWN` rounds.
@@ -115,6 +118,7 @@ class StumpLearner:
     drawn: int = 0
     reuse: int = 1
     smoothing: float = 0.5
+    bins: int = LEVELS
 
     def __post_init__(self) -> None:
         if self.reuse < 1 or self.drawn < 0:
@@ -150,7 +154,7 @@ class StumpLearner:
         held = (weights > 0).any(2).sum(0).clamp(min=1)
         slack = self.smoothing * weights.sum((0, 2)) / (held * weights.shape[2])
         found, minima, first = [], [], 0
-        for chunk, below, left in sweep(search.data, weights, responses, loss, slack):
+        for chunk, below, left in sweep(search.data, weights, responses, loss, slack, self.bins):
             found.append(_lowest(left, below, chunk.thresholds, first))
             first += len(chunk.thresholds)
             if shortlisting:
@@ -197,6 +201,7 @@ def sweep(
     responses: Shaped[Tensor, "frames #problems outputs"],
     loss: Loss = CLASSES,
     slack: Float[Tensor, " problems"] | None = None,
+    bins: int = LEVELS,
 ) -> Iterator[
     tuple[
         SortedColumns,
@@ -206,8 +211,8 @@ def sweep(
 ]:
     """Every sorted column, a chunk at a time: the chunk, sums up to each threshold, and what each leaves.
 
-    Sums are those of the loss's table, what is left is by its `split`; `slack` is 0 by default. Raises
-    ValueError where the rows sum to `HEAVIEST` or to no number.
+    Sums are those of the loss's table, what is left is by its `split`; `slack` is 0 by default, and columns
+    have `bins` at most. Raises ValueError where the rows sum to `HEAVIEST` or to no number.
     """
     rows = loss.table(weights, responses)
     table = rows.flatten(1)
@@ -215,15 +220,15 @@ def sweep(
     if not bool((total.abs() < HEAVIEST).all()):  # nor where one is NaN
         raise ValueError(overflow(weights))
     slack = weights.new_zeros(weights.shape[1]) if slack is None else slack
-    for chunk in data.chunks(_columns_at_a_time(table)):
+    for chunk in data.chunks(_columns_at_a_time(table, bins), bins):
         below = _histograms(chunk, table, total, loss.signed).cumsum_(1).unflatten(2, rows.shape[1:])
         yield chunk, below, loss.split(below, slack)
 
 
-def _columns_at_a_time(table: Float[Tensor, "frames entries"]) -> int:
+def _columns_at_a_time(table: Float[Tensor, "frames entries"], bins: int) -> int:
     """Columns whose histograms are in memory together."""
     room = CACHED if table.device.type == "cpu" else ON_DEVICE
-    return min(max(room // (LEVELS * table.shape[1]), 1), 128)
+    return min(max(room // (bins * table.shape[1]), 1), 128)
 
 
 def _histograms(
@@ -238,7 +243,7 @@ def _histograms(
     rest = total - sums.sum(1)
     if not signed:
         rest.clamp_(min=0)
-    sums[torch.arange(len(sums), device=sums.device), chunk.fullest] = rest
+    sums[torch.arange(len(sums), device=sums.device), chunk.fullest] += rest
     return sums
 
 

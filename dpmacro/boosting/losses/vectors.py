@@ -40,7 +40,7 @@ class HuberLoss:
         """Rho of every residual."""
         residuals = targets - scores
         near = residuals.clamp(-self.delta, self.delta)
-        return near * (residuals - near / 2)
+        return residuals.sub_(near, alpha=0.5).mul_(near)
 
     def working(
         self,
@@ -58,8 +58,11 @@ class HuberLoss:
         responses: Float[Tensor, "frames problems dims"],
     ) -> Float[Tensor, "frames 1 rows problems"]:
         """W r of every dimension, then w: G and H."""
-        rows = torch.cat([weights * responses, weights], 2)
-        return rows.transpose(1, 2)[:, None]
+        frames, problems, dims = responses.shape
+        rows = responses.new_empty(frames, dims + 1, problems)
+        torch.mul(responses.transpose(1, 2), weights.transpose(1, 2), out=rows[:, :-1])
+        rows[:, -1:] = weights.transpose(1, 2)
+        return rows[:, None]
 
     def split(
         self,
