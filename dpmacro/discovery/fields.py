@@ -19,7 +19,7 @@ from dpmacro.discovery.candidates import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 
-__all__ = ["Field", "extended", "field_of", "given_field"]
+__all__ = ["Field", "drawn_of", "extended", "field_of", "given_field"]
 
 FRAMES = 6_000  # that a search is run on at least,
 TRAJECTORIES = 20  # and so many trajectories,
@@ -45,7 +45,10 @@ def field_of(data: SortedLevels, task: Task) -> Field:
     Those with given labels are drawn first. The draw depends on the task's seed and lengths alone, so tasks
     that differ in Q, S or order have the same field.
     """
-    drawn = _drawn(task)
+    shown = None
+    if task.given is not None:
+        shown = torch.tensor([bool(part.any()) for part in task.known.held.split(task.lengths.tolist())])
+    drawn = drawn_of(task.lengths, task.seed, shown)
     if bool(drawn.all()):
         return Field(data, task, None)
     frames = drawn.repeat_interleave(task.lengths)
@@ -91,14 +94,14 @@ def extended(
     return segment(task.held(whole), task.lengths, task.max_transitions, order=task.order).labels.cpu()
 
 
-def _drawn(task: Task) -> Bool[Tensor, " trajectories"]:
-    """The trajectories of a field."""
-    order = torch.randperm(len(task.lengths), generator=torch.Generator().manual_seed(task.seed))
-    if task.given is not None:
-        parts = task.known.held.split(task.lengths.tolist())
-        shown = torch.tensor([bool(part.any()) for part in parts])[order]
-        order = torch.cat([order[shown], order[~shown]])
-    before = task.lengths[order].cumsum(0) - task.lengths[order]
+def drawn_of(
+    lengths: Int64[Tensor, " trajectories"], seed: int, first: Bool[Tensor, " trajectories"] | None = None
+) -> Bool[Tensor, " trajectories"]:
+    """Which trajectories of these lengths a search looks at; those that `first` names before the others."""
+    order = torch.randperm(len(lengths), generator=torch.Generator().manual_seed(seed))
+    if first is not None:
+        order = torch.cat([order[first[order]], order[~first[order]]])
+    before = lengths[order].cumsum(0) - lengths[order]
     wanted = (before < FRAMES) | ((torch.arange(len(order)) < TRAJECTORIES) & (before < MOST))
     drawn = torch.zeros(len(order), dtype=torch.bool)
     drawn[order[wanted]] = True

@@ -22,7 +22,7 @@ from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 from dpmacro.switching.costs import change_log_odds, charges_of
 
-__all__ = ["fewer", "merged", "recut", "resegmented", "simplified"]
+__all__ = ["REFINED", "fewer", "merged", "recut", "resegmented", "simplified"]
 
 SWEEPS = 3  # in which switch functions cut, at most
 MERGED = 6  # segmentations with two macro-actions made one that are scored at a time: all of up to four

@@ -17,6 +17,8 @@ from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.images import ImageTransform
 from dpmacro.data.vectors import ActionTransform
 from dpmacro.discovery.candidates import FINALISTS, LEADERS
+from dpmacro.discovery.fields import drawn_of
+from dpmacro.discovery.refinement import REFINED
 from dpmacro.features.base import Encoder, Observation, frame_bytes
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import CameraSpec, ObservationSpec, StateSpec, TaskSpec, make_encoder
@@ -123,14 +125,20 @@ class TrainingData:
 
     def _plan(self, most: int) -> Plan:
         planner = self._options.planner
-        tried = max(planner.restarts, (FINALISTS + LEADERS) * CLASSIFIER_FOLDS) if most > 1 else 1
-        tables = TABLES * 4 * tried * most * self.outputs
+        n_frames = int(self.lengths.sum())
+        one = TABLES * 4 * most * self.outputs  # of every macro-action
+        tables = one
+        if most > 1:  # a search sees some of the frames, and its outcome is judged on all
+            searched = int(self.lengths[drawn_of(self.lengths, self._options.seed)].sum())
+            share = 1.0 if planner.recipe == "paper" else searched / n_frames
+            tried = max(planner.restarts, (FINALISTS + LEADERS) * CLASSIFIER_FOLDS)
+            tables = max(round(one * tried * share), one * REFINED * CLASSIFIER_FOLDS)
         stumps, networks = planner.switch_learner == "stumps", planner.switch_learner == "convnet"
         switches = TABLES * 4 * most * (most - 1) * (SWITCH_FOLDS + 1) + stumps * DRAWN * planner.switch_drawn
         seen = {key: self.observations[key] for key in self.encoder.keys}
         image_bytes = frame_bytes(seen)
         demand = Demand(
-            int(self.lengths.sum()),
+            n_frames,
             image_bytes,
             self.encoder.count,
             tables,

@@ -16,7 +16,10 @@ SEED = 3
 
 @pytest.fixture(autouse=True)
 def few_rounds(monkeypatch):
-    monkeypatch.setattr(crossfit, "CLASSES", crossfit.Pace(shared=4, own=8, shrinkage=0.2, columns=5, bins=256))
+    quick = crossfit.Pace(shared=4, own=8, shrinkage=0.2, columns=5, bins=256)
+    monkeypatch.setattr(crossfit, "CLASSES", quick)
+        crossfit, "CLASSES", crossfit.Pace(shared=4, own=8, shrinkage=0.2, columns=5, bins=256)
+    )
 
 
 def noise(seed=0, columns=9):

@@ -43,9 +43,7 @@ def small(monkeypatch):
     ],
 )
 def test_how_many_trajectories_are_searched(count, length, drawn):
-    lengths = torch.full((count,), length)
-    task = classes_task(torch.zeros(count * length, dtype=torch.int64), lengths)
-    assert int(fields._drawn(task).sum()) == drawn
+    assert int(fields.drawn_of(torch.full((count,), length), 0).sum()) == drawn
 
 
 @settings(deadline=None)
