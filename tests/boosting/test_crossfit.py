@@ -18,8 +18,6 @@ SEED = 3
 def few_rounds(monkeypatch):
     quick = crossfit.Pace(shared=4, own=8, shrinkage=0.2, columns=5, bins=256)
     monkeypatch.setattr(crossfit, "CLASSES", quick)
-        crossfit, "CLASSES", crossfit.Pace(shared=4, own=8, shrinkage=0.2, columns=5, bins=256)
-    )
 
 
 def noise(seed=0, columns=9):
