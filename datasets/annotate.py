@@ -31,6 +31,7 @@ from dpmacro.annotation.exports.labelling import open_for_labels
 from dpmacro.annotation.idle import idle_frames, moving_columns
 from dpmacro.annotation.naming import StageName, checked_names, stage_names
 from dpmacro.annotation.pictures import picture_count, pictures
+from dpmacro.annotation.recordings import require_rerun, write_recordings
 from dpmacro.annotation.report import NUMBERS, PAGE, SHOWN, score_text, stages_of, write_report
 from dpmacro.annotation.stages import Stages
 from dpmacro.annotation.summary import Summary
@@ -43,6 +44,7 @@ from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer
 from dpmacro.utils import cli
 
+RECORDINGS = "rerun"  # a folder beside the page
 # Options of a training's data, which a policy has had.
 POLICYS_OWN = ("inputs", "camera", "action_relative", "image_size", "symmetric", "labels")
 
@@ -95,6 +97,8 @@ class AnnotateOptions:
     """Names of the stages, like '[reach, carry, leave]'; by default made from what the data says."""
     corrections: Path | None = None
     """File of corrections, saved from the page, or the csv of an annotation before, edited."""
+    rerun: bool = False
+    """Whether recordings for Rerun, the viewer of lerobot-dataset-viz, are written beside the page."""
     tolerance: int = 10
     """Frames by which a found change point may miss a true one and still count."""
     seed: int = 0
@@ -156,6 +160,8 @@ def main(options: AnnotateOptions) -> None:
     output_dir = options.output_dir or default_output_dir(root)
     if (output_dir / NUMBERS).exists():
         raise ValueError(f"{output_dir} already holds a {NUMBERS}: give another --output_dir")
+    if options.rerun:
+        require_rerun()
     if options.output is not None:
         refuse_places(root, options.output)
         open_for_labels(root)
@@ -173,16 +179,19 @@ def main(options: AnnotateOptions) -> None:
     )
     named = stage_names(demonstrations, summary.labels, segmented.policy.config.macros, options.names)
     idle = idle_frames(moving_columns(demonstrations), demonstrations.lengths, demonstrations.fps)
-    stages = replace(stages_of(summary), names=tuple(one.name for one in named), idle=idle)
+    found = replace(stages_of(summary), names=tuple(one.name for one in named), idle=idle)
     reasons = tuple(one.reason for one in named)
-    if corrections is not None:
-        stages = corrections.apply(stages)
-        reasons = reasons if len(stages.names) == len(reasons) else ()
+    stages = found if corrections is None else corrections.apply(found)
+    earlier = None if corrections is None else corrections.of_stages(found)
     written = None
     if options.output is not None:  # before the pictures, which take longer: what is wrong is said at once
         written = write_labels(root, options.output, stages, options.formats, skip=options.skip)
     with tqdm(pictures(summary, SHOWN), "Pictures", picture_count(summary, SHOWN), unit="picture") as made:
-        write_report(summary, iter(made), output_dir, stages, options.page.frames, reasons=reasons)
+        write_report(
+            summary, iter(made), output_dir, found, options.page.frames, reasons=reasons, corrections=earlier
+        )
+    if options.rerun:
+        write_recordings(output_dir / RECORDINGS, demonstrations, stages, options.page.frames)
     for place, note in enumerate(segmented.notes):
         print(f"{'' if place else 'data':<11} {note}")
     print("\n".join(found_text(stages, named)))
@@ -194,6 +203,8 @@ def main(options: AnnotateOptions) -> None:
         print(f"{'dataset':<11} {written.root}, with {', '.join(('macro_action', *written.formats))}")
     print(f"page        {output_dir / PAGE}")
     print(f"pictures    {output_dir / 'figures'}")
+    if options.rerun:
+        print(f"recordings  {output_dir / RECORDINGS} (rerun {output_dir / RECORDINGS}/*.rrd)")
 
 
 def by_policy(options: AnnotateOptions) -> Segmented:

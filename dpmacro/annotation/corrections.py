@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
@@ -58,6 +59,48 @@ class Corrections:
         they do not have, or of another length, or stages of another number; and where a table's line has
         frames as before and other seconds, since its seconds are not read.
         """
+        names, renamed, changed = self._of(stages)
+        frames = dict(zip(stages.episodes, _parts(stages.lengths), strict=True))
+        labels = np.array(renamed, np.int64)[stages.labels]
+        confidence, corrected = stages.confidence.copy(), stages.corrected.copy()
+        for episode, own in changed.items():
+            part = frames[episode]
+            labels[part], confidence[part], corrected[part] = own, 1, True
+        if self.file.renamed is None:
+            used, labels = np.unique(labels, return_inverse=True)
+            names = tuple(names[k] for k in used.tolist())
+        return replace(
+            stages, labels=labels.astype(np.int64), confidence=confidence, corrected=corrected, names=names
+        )
+
+    def of_stages(self, stages: Stages) -> dict[str, Any]:
+        """What `apply` does to the stages as the page saves it, to go on from there.
+
+        The names, what became of every stage, and the demonstrations that are corrected. A stage that nothing
+        has any more keeps its name, since a correction may be taken back. Errors are those of `apply`.
+        """
+        names, renamed, changed = self._of(stages)
+        return {
+            "fps": stages.fps,
+            "names": list(names),
+            "renamed": [[old, new] for old, new in enumerate(renamed)],
+            "episodes": [
+                {
+                    "episode": episode,
+                    "frames": len(own),
+                    "segments": [
+                        {"start": start, "end": end, "label": label}
+                        for label, start, end in segments(own, np.array([len(own)]))[0].tolist()
+                    ],
+                }
+                for episode, own in changed.items()
+            ],
+        }
+
+    def _of(
+        self, stages: Stages
+    ) -> tuple[tuple[str, ...], tuple[int, ...], dict[int, Int64[np.ndarray, " _"]]]:
+        """Names, the place of every stage in them, and the labels of demonstrations that are corrected."""
         self._check(stages.episodes, stages.lengths)
         if self.file.fps is not None and abs(self.file.fps - stages.fps) > 1e-3 * stages.fps:
             raise ValueError(
@@ -66,7 +109,6 @@ class Corrections:
             )
         frames = dict(zip(stages.episodes, _parts(stages.lengths), strict=True))
         was = dict(zip(stages.episodes, segments(stages.labels, stages.lengths), strict=True))
-        ends = {number: tuple(own[:, 2].tolist()) for number, own in was.items()}
         if self.file.renamed is None:
             names, renamed = self._of_table(stages.names, was)
         else:
@@ -76,22 +118,15 @@ class Corrections:
                     f"{self.path}, renamed is of {len(renamed)} stages: there are {len(stages.names)} here; "
                     "annotate with the options with which the page was made"
                 )
-        labels = np.array(renamed, np.int64)[stages.labels]
-        confidence, corrected = stages.confidence.copy(), stages.corrected.copy()
         places = np.array([names.index(name) for name in self.names], np.int64)
+        now, changed = np.array(renamed, np.int64), {}
         for one in self.file.episodes:
             part, own = frames[one.episode], places[_labels(one)]
-            if one.ends == ends[one.episode]:
+            if one.ends == tuple(was[one.episode][:, 2].tolist()):
                 self._check_seconds(one, stages.timestamps[part], stages.fps)
-            if not one.by_person and np.array_equal(labels[part], own):
-                continue
-            labels[part], confidence[part], corrected[part] = own, 1, True
-        if self.file.renamed is None:
-            used, labels = np.unique(labels, return_inverse=True)
-            names = tuple(names[k] for k in used.tolist())
-        return replace(
-            stages, labels=labels.astype(np.int64), confidence=confidence, corrected=corrected, names=names
-        )
+            if one.by_person or not np.array_equal(now[stages.labels[part]], own):
+                changed[one.episode] = own
+        return names, renamed, changed
 
     def given(
         self, episodes: Sequence[int], lengths: Int64[np.ndarray, " demonstrations"]

@@ -85,7 +85,9 @@ def rows(recording, entity, component):
     )
     path = name.removesuffix(f":{component}")
     table = recording.view(index="frame_index", contents=path).select("frame_index", name).read_all()
-    kept = [(frame, value) for frame, value in zip(*map(list, table.to_pydict().values()), strict=True) if value]
+    kept = [
+        (frame, value) for frame, value in zip(*map(list, table.to_pydict().values()), strict=True) if value
+    ]
     return [frame for frame, _ in kept], [value for _, value in kept]
 
 

@@ -94,8 +94,15 @@ def test_a_folder_by_date_ends_in_the_datasets_name(script):
 def test_a_segmentation_as_a_command(policy, recorded, tmp_path):
     options = [f"--policy.path={policy}", f"--dataset.root={recorded}", f"--output_dir={tmp_path}"]
     command = [sys.executable, str(SCRIPT), *options, "--tolerance=1"]
+    if importlib.util.find_spec("rerun"):
+        command.append("--rerun=true")
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
+    if "--rerun=true" in command:
+        folder = tmp_path / "rerun"
+        assert f"recordings  {folder}" in done.stdout and "Recordings: 100%" in done.stderr
+        assert {path.name for path in folder.iterdir()} == {f"two_flags_episode_{k}.rrd" for k in range(4)}
+    assert "Images of avatar: 100%" in done.stderr
     assert "uniform cuts" in done.stdout and "frames that agree" in done.stdout
     assert str(tmp_path / "segmentation.html") in done.stdout and "Pictures: 100%" in done.stderr
     numbers = json.loads((tmp_path / "segmentation.json").read_text())
@@ -106,6 +113,22 @@ def test_a_segmentation_as_a_command(policy, recorded, tmp_path):
         path.name for path in (tmp_path / "figures").iterdir()
     }
     assert "data:image/png;base64," in (tmp_path / "segmentation.html").read_text()
+
+
+def test_without_rerun_nothing_is_begun(script, recorded, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    monkeypatch.setattr(script, "trained", lambda *_: pytest.fail("searched"))
+    with pytest.raises(SystemExit) as exit_:
+        call(
+            script,
+            monkeypatch,
+            f"--dataset.root={recorded}",
+            "--rerun=true",
+            f"--output_dir={tmp_path / 'out'}",
+        )
+    error = capsys.readouterr().err
+    assert exit_.value.code == 2 and error.count("\n") == 1 and "pip install 'rerun-sdk" in error
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_segmentation_of_some_episodes(script, policy, recorded, tmp_path, monkeypatch, capsys):
@@ -150,7 +173,8 @@ def test_stages_are_found_written_corrected_and_written_again(
     options = [f"--dataset.root={recorded}", *SMALL, "--planner.rectangles=32", "--names=[first, second]"]
     first, second = tmp_path / "first", tmp_path / "second"
     call(script, monkeypatch, *options, f"--output={first}", f"--output_dir={tmp_path / 'page'}")
-    told = capsys.readouterr().out
+    told, bars = capsys.readouterr()
+    assert "Dataset: 100%" in bars
     assert "stage 0     first" in told and f"dataset     {first}" in told and "idle " in told
     stages = read_labels(first)
     assert stages.names == ("first", "second") and not stages.corrected.any()

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from tqdm import tqdm
 
 from dpmacro.annotation.exports.base import Export, Labelled, Make
 from dpmacro.annotation.exports.folders import copy, files_of, link_or_copy, refuse_places, unfinished
@@ -127,7 +128,8 @@ class _Build:
     def write(self, folder: Path) -> None:
         """Write what is not there yet, meta/info.json last; a file under its own name is complete."""
         files = self._files()
-        for name in sorted(files, key=lambda name: (name == INFO, name)):
+        ordered = sorted(files, key=lambda name: (name == INFO, name))
+        for name in tqdm(ordered, "Dataset", unit="file"):
             target = folder / name
             if not target.exists():
                 files[name](target)
