@@ -14,6 +14,7 @@ of true labels, the agreement with it is printed.
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from pathlib import Path
@@ -24,8 +25,8 @@ from tqdm import tqdm
 
 from dpmacro.annotation.annotate import Annotation, annotate
 from dpmacro.annotation.corrections import Corrections
-from dpmacro.annotation.exports.dataset import write_labels
-from dpmacro.annotation.exports.folders import refuse_places
+from dpmacro.annotation.exports.dataset import writing_labels
+from dpmacro.annotation.exports.folders import refuse_places, refuse_unwritable
 from dpmacro.annotation.exports.formats import FORMATS
 from dpmacro.annotation.exports.labelling import open_for_labels
 from dpmacro.annotation.idle import idle_frames, moving_columns
@@ -162,11 +163,15 @@ def main(options: AnnotateOptions) -> None:
         raise ValueError(f"{output_dir} already holds a {NUMBERS}: give another --output_dir")
     if options.rerun:
         require_rerun()
+    refuse_within(output_dir, root, options.output)
+    refuse_unwritable("--output_dir", output_dir)
     if options.output is not None:
         refuse_places(root, options.output)
+        refuse_unwritable("--output", options.output)
         open_for_labels(root)
     corrections = None if options.corrections is None else Corrections.load(options.corrections)
-    segmented = trained(options, output_dir) if options.policy.path is None else by_policy(options)
+    search = options.policy.path is None
+    segmented = trained(options, output_dir, corrections) if search else by_policy(options)
     demonstrations = segmented.demonstrations
     summary = Summary(
         segmented.policy,
@@ -183,12 +188,16 @@ def main(options: AnnotateOptions) -> None:
     reasons = tuple(one.reason for one in named)
     stages = found if corrections is None else corrections.apply(found)
     earlier = None if corrections is None else corrections.of_stages(found)
-    written = None
-    if options.output is not None:  # before the pictures, which take longer: what is wrong is said at once
-        written = write_labels(root, options.output, stages, options.formats, skip=options.skip)
-    with tqdm(pictures(summary, SHOWN), "Pictures", picture_count(summary, SHOWN), unit="picture") as made:
+    # A new dataset is written first, so that what is wrong is said at once, and named once the page is there.
+    labels = (
+        nullcontext()
+        if options.output is None
+        else writing_labels(root, options.output, stages, options.formats, skip=options.skip)
+    )
+    made, count = pictures(summary, SHOWN), picture_count(summary, SHOWN)
+    with labels as written, tqdm(made, "Pictures", count, unit="picture") as bar:
         write_report(
-            summary, iter(made), output_dir, found, options.page.frames, reasons=reasons, corrections=earlier
+            summary, iter(bar), output_dir, found, options.page.frames, reasons=reasons, corrections=earlier
         )
     if options.rerun:
         write_recordings(output_dir / RECORDINGS, demonstrations, stages, options.page.frames)
@@ -224,10 +233,12 @@ def by_policy(options: AnnotateOptions) -> Segmented:
     return Segmented(demonstrations, policy, annotate(policy, demonstrations), path)
 
 
-def trained(options: AnnotateOptions, output_dir: Path) -> Segmented:
+def trained(options: AnnotateOptions, output_dir: Path, corrections: Corrections | None) -> Segmented:
     """Find the stages as train.py does; the confidence is that of classifiers that never saw a frame."""
     dataset, planner = options.dataset, options.planner
     demonstrations = read_demonstrations(dataset, planner.memory_limit)
+    if corrections is not None:  # before a search, which takes longer
+        corrections.check(demonstrations.numbers, demonstrations.lengths, demonstrations.fps)
     if dataset.labels is not None and planner.macros == "auto":
         planner = replace(planner, macros=None)  # as many as the labels have names
     training = TrainOptions(dataset=dataset, planner=planner, seed=options.seed, device=options.device)
@@ -241,6 +252,8 @@ def trained(options: AnnotateOptions, output_dir: Path) -> Segmented:
     if result.choice is not None:
         macros, bound = result.choice.setting
         notes += (f"{macros} stages with at most {bound} changes, chosen by data that was left out",)
+        if result.policy.config.macros < macros:
+            notes += (f"{result.policy.config.macros} of them hold frames, the others are left out",)
     return Segmented(demonstrations, result.policy, found, result.pretrained, notes)
 
 
@@ -255,16 +268,29 @@ def found_text(stages: Stages, named: Sequence[StageName]) -> list[str]:
     orders = Counter(tuple(label for label, _, _ in one) for one in stages.segments)
     order, count = orders.most_common(1)[0]
     listed = ", ".join(stages.names[label] for label in order[:8]) + ", ..." * (len(order) > 8)
-    if count == len(stages.lengths) and len(set(order)) == len(order):
-        lines.append(f"{'order':<11} the same in all {count} demonstrations, each stage once: {listed}")
+    once = len(set(order)) == len(order)
+    if count == len(stages.lengths):
+        each = ", each stage once" if once else ""
+        lines.append(f"{'order':<11} the same in all {count} demonstrations{each}: {listed}")
     else:
         lines.append(f"{'order':<11} {len(orders)} orders; {count} of {len(stages.lengths)} have {listed}")
+    if count < len(stages.lengths) or not once:
         lines.append(f"{'':<11} (--planner.order=chain finds stages in one order, each once)")
     lines.append(f"{'idle':<11} {stages.idle.mean():.1%} of the frames: nothing moves for a second or more")
     if stages.corrected.any():
         parts = sum(bool(stages.corrected[part].any()) for part in stages.trajectories)
         lines.append(f"{'corrected':<11} {parts} demonstrations by a person")
     return lines
+
+
+def refuse_within(output_dir: Path, root: Path, output: Path | None) -> None:
+    """Raise ValueError where the page would lie in one of the datasets: the old one is never written to."""
+    page = output_dir.resolve()
+    for dataset in (root, output):
+        if dataset is not None and (page == dataset.resolve() or dataset.resolve() in page.parents):
+            raise ValueError(
+                f"--output_dir={output_dir}: lies in the dataset {dataset}; give a folder that does not"
+            )
 
 
 def default_output_dir(root: Path) -> Path:

@@ -101,12 +101,7 @@ class Corrections:
         self, stages: Stages
     ) -> tuple[tuple[str, ...], tuple[int, ...], dict[int, Int64[np.ndarray, " _"]]]:
         """Names, the place of every stage in them, and the labels of demonstrations that are corrected."""
-        self._check(stages.episodes, stages.lengths)
-        if self.file.fps is not None and abs(self.file.fps - stages.fps) > 1e-3 * stages.fps:
-            raise ValueError(
-                f"{self.path}, fps is {self.file.fps:g}: the dataset has {stages.fps:g}; give the dataset's "
-                "own corrections"
-            )
+        self.check(stages.episodes, stages.lengths, stages.fps)
         frames = dict(zip(stages.episodes, _parts(stages.lengths), strict=True))
         was = dict(zip(stages.episodes, segments(stages.labels, stages.lengths), strict=True))
         if self.file.renamed is None:
@@ -142,7 +137,7 @@ class Corrections:
 
         Raises ValueError as `apply` does, and for a table in which no demonstration is a person's.
         """
-        self._check(episodes, lengths)
+        self.check(episodes, lengths)
         table = self.file.renamed is None
         held = [one for one in self.file.episodes if one.by_person or (table and not self.file.has_sources)]
         if table and not held:
@@ -156,8 +151,16 @@ class Corrections:
             labels[frames[one.episode]] = _labels(one)
         return labels
 
-    def _check(self, episodes: Sequence[int], lengths: Int64[np.ndarray, " demonstrations"]) -> None:
-        """Raise ValueError for the first demonstration of the file that is not there or of another length."""
+    def check(
+        self, episodes: Sequence[int], lengths: Int64[np.ndarray, " demonstrations"], fps: float | None = None
+    ) -> None:
+        """Raise ValueError for the first demonstration of the file that is not there or of another length.
+
+        Args:
+            episodes: numbers of the demonstrations that there are.
+            lengths: frames of each.
+            fps: frames a second, which are compared with the file's where both are known.
+        """
         frames = dict(zip(episodes, lengths.tolist(), strict=True))
         for one in self.file.episodes:
             if one.episode not in frames:
@@ -170,6 +173,11 @@ class Corrections:
                     f"{one.places[-1]}: ends episode {one.episode} at {one.ends[-1]}, and it has "
                     f"{frames[one.episode]} frames; give the dataset's own corrections"
                 )
+        if fps is not None and self.file.fps is not None and abs(self.file.fps - fps) > 1e-3 * fps:
+            raise ValueError(
+                f"{self.path}, fps is {self.file.fps:g}: the dataset has {fps:g}; give the dataset's "
+                "own corrections"
+            )
 
     def _of_table(
         self, old: tuple[str, ...], was: dict[int, Int64[np.ndarray, "segments 3"]]

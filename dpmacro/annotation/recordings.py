@@ -18,6 +18,7 @@ from dpmacro.annotation.page.shown import Images
 from dpmacro.annotation.page.sprites import QUALITIES, chosen_frames, resized
 from dpmacro.annotation.stages import Stages
 from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.utils import interrupts
 
 __all__ = ["require_rerun", "write_recordings"]
 
@@ -83,7 +84,8 @@ def write_recordings(
     with _complete(folder) as partial:
         shown = zip(stages.episodes, stages.trajectories, strict=True)
         for episode, part in tqdm(shown, "Recordings", len(stages.lengths), unit="demonstration"):
-            recording = rerun.RecordingStream(name, recording_id=uuid4().hex)
+            with interrupts.held_back():  # of one half made Rerun complains
+                recording = rerun.RecordingStream(name, recording_id=uuid4().hex)
             recording.save(
                 partial / f"{name}_episode_{episode}.rrd",
                 default_blueprint=_blueprint(rerun, list(cameras), list(vectors)),

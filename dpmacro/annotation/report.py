@@ -68,12 +68,12 @@ def write_report(
             writer.add_image(f"figures/{picture.name}", image, 0, dataformats="HWC")
             if picture.heading not in STRIPS:
                 report.append((picture.heading, html.picture(png, picture.alt, picture.caption)))
-    with replacing(folder / NUMBERS) as path:
-        path.write_text(json.dumps(summary.as_json(), indent=2) + "\n")
     shown = shown_beside(summary, "".join(_parts(summary, report)), cameras, reasons)
     shown = replace(shown, corrections=corrections)
     name = summary.demonstrations.root.resolve().name
     write_page(folder / PAGE, stages or stages_of(summary), name, shown, frames)
+    with replacing(folder / NUMBERS) as path:  # last: it says that the report is complete
+        path.write_text(json.dumps(summary.as_json(), indent=2) + "\n")
 
 
 def stages_of(summary: Summary) -> Stages:
