@@ -7,9 +7,11 @@
 Without a policy the stages are found first, as train.py finds them, and their number is chosen by the data.
 Every frame gets the stage under which the classifiers explain the actions best, with the whole demonstration
 known. The new dataset has all that the old one has, and the stages in the formats that the installed LeRobot
-reads. The page `segmentation.html` shows every demonstration, and people correct it there;
-`segmentation.json` holds numbers, `figures/` and TensorBoard events pictures. Where the dataset has a column
-of true labels, the agreement with it is printed.
+reads; it has its name once the page is there, and a run that was stopped is gone on with by the same command.
+The page `segmentation.html` shows every demonstration, and people correct it there, in as many rounds as they
+like; `segmentation.json` holds numbers, `figures/` and TensorBoard events pictures, `rerun/` recordings for
+Rerun where --rerun=true asks for them. Where the dataset has a column of true labels, the agreement with it
+is printed.
 """
 
 from collections import Counter
@@ -279,7 +281,7 @@ def found_text(stages: Stages, named: Sequence[StageName]) -> list[str]:
     lines.append(f"{'idle':<11} {stages.idle.mean():.1%} of the frames: nothing moves for a second or more")
     if stages.corrected.any():
         parts = sum(bool(stages.corrected[part].any()) for part in stages.trajectories)
-        lines.append(f"{'corrected':<11} {parts} demonstrations by a person")
+        lines.append(f"{'corrected':<11} {parts} demonstration{'s' * (parts != 1)} by a person")
     return lines
 
 

@@ -289,7 +289,7 @@ def test_stages_are_found_written_corrected_and_written_again(
     )
     options = [f"--dataset.root={recorded}", f"--policy.path={policy}", f"--corrections={corrections}"]
     call(script, monkeypatch, *options, f"--output={second}", f"--output_dir={tmp_path / 'again'}")
-    assert "corrected   1 demonstrations by a person" in capsys.readouterr().out
+    assert "corrected   1 demonstration by a person" in capsys.readouterr().out
     corrected = read_labels(second)
     part = corrected.trajectories[1]
     assert corrected.names == ("reach", "leave")
