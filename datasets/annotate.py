@@ -7,13 +7,16 @@
 Without a policy the stages are found first, as train.py finds them, and their number is chosen by the data.
 Every frame gets the stage under which the classifiers explain the actions best, with the whole demonstration
 known. The new dataset has all that the old one has, and the stages in the formats that the installed LeRobot
-reads. The page `segmentation.html` shows every demonstration, and people correct it there;
-`segmentation.json` holds numbers, `figures/` and TensorBoard events pictures. Where the dataset has a column
-of true labels, the agreement with it is printed.
+reads; it has its name once the page is there, and a run that was stopped is gone on with by the same command.
+The page `segmentation.html` shows every demonstration, and people correct it there, in as many rounds as they
+like; `segmentation.json` holds numbers, `figures/` and TensorBoard events pictures, `rerun/` recordings for
+Rerun where --rerun=true asks for them. Where the dataset has a column of true labels, the agreement with it
+is printed.
 """
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from pathlib import Path
@@ -24,13 +27,14 @@ from tqdm import tqdm
 
 from dpmacro.annotation.annotate import Annotation, annotate
 from dpmacro.annotation.corrections import Corrections
-from dpmacro.annotation.exports.dataset import write_labels
-from dpmacro.annotation.exports.folders import refuse_places
+from dpmacro.annotation.exports.dataset import writing_labels
+from dpmacro.annotation.exports.folders import refuse_places, refuse_unwritable
 from dpmacro.annotation.exports.formats import FORMATS
 from dpmacro.annotation.exports.labelling import open_for_labels
 from dpmacro.annotation.idle import idle_frames, moving_columns
 from dpmacro.annotation.naming import StageName, checked_names, stage_names
 from dpmacro.annotation.pictures import picture_count, pictures
+from dpmacro.annotation.recordings import require_rerun, write_recordings
 from dpmacro.annotation.report import NUMBERS, PAGE, SHOWN, score_text, stages_of, write_report
 from dpmacro.annotation.stages import Stages
 from dpmacro.annotation.summary import Summary
@@ -43,6 +47,7 @@ from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer
 from dpmacro.utils import cli
 
+RECORDINGS = "rerun"  # a folder beside the page
 # Options of a training's data, which a policy has had.
 POLICYS_OWN = ("inputs", "camera", "action_relative", "image_size", "symmetric", "labels")
 
@@ -95,6 +100,8 @@ class AnnotateOptions:
     """Names of the stages, like '[reach, carry, leave]'; by default made from what the data says."""
     corrections: Path | None = None
     """File of corrections, saved from the page, or the csv of an annotation before, edited."""
+    rerun: bool = False
+    """Whether recordings for Rerun, the viewer of lerobot-dataset-viz, are written beside the page."""
     tolerance: int = 10
     """Frames by which a found change point may miss a true one and still count."""
     seed: int = 0
@@ -156,11 +163,17 @@ def main(options: AnnotateOptions) -> None:
     output_dir = options.output_dir or default_output_dir(root)
     if (output_dir / NUMBERS).exists():
         raise ValueError(f"{output_dir} already holds a {NUMBERS}: give another --output_dir")
+    if options.rerun:
+        require_rerun()
+    refuse_within(output_dir, root, options.output)
+    refuse_unwritable("--output_dir", output_dir)
     if options.output is not None:
         refuse_places(root, options.output)
+        refuse_unwritable("--output", options.output)
         open_for_labels(root)
     corrections = None if options.corrections is None else Corrections.load(options.corrections)
-    segmented = trained(options, output_dir) if options.policy.path is None else by_policy(options)
+    search = options.policy.path is None
+    segmented = trained(options, output_dir, corrections) if search else by_policy(options)
     demonstrations = segmented.demonstrations
     summary = Summary(
         segmented.policy,
@@ -173,16 +186,23 @@ def main(options: AnnotateOptions) -> None:
     )
     named = stage_names(demonstrations, summary.labels, segmented.policy.config.macros, options.names)
     idle = idle_frames(moving_columns(demonstrations), demonstrations.lengths, demonstrations.fps)
-    stages = replace(stages_of(summary), names=tuple(one.name for one in named), idle=idle)
+    found = replace(stages_of(summary), names=tuple(one.name for one in named), idle=idle)
     reasons = tuple(one.reason for one in named)
-    if corrections is not None:
-        stages = corrections.apply(stages)
-        reasons = reasons if len(stages.names) == len(reasons) else ()
-    written = None
-    if options.output is not None:  # before the pictures, which take longer: what is wrong is said at once
-        written = write_labels(root, options.output, stages, options.formats, skip=options.skip)
-    with tqdm(pictures(summary, SHOWN), "Pictures", picture_count(summary, SHOWN), unit="picture") as made:
-        write_report(summary, iter(made), output_dir, stages, options.page.frames, reasons=reasons)
+    stages = found if corrections is None else corrections.apply(found)
+    earlier = None if corrections is None else corrections.of_stages(found)
+    # A new dataset is written first, so that what is wrong is said at once, and named once the page is there.
+    labels = (
+        nullcontext()
+        if options.output is None
+        else writing_labels(root, options.output, stages, options.formats, skip=options.skip)
+    )
+    made, count = pictures(summary, SHOWN), picture_count(summary, SHOWN)
+    with labels as written, tqdm(made, "Pictures", count, unit="picture") as bar:
+        write_report(
+            summary, iter(bar), output_dir, found, options.page.frames, reasons=reasons, corrections=earlier
+        )
+    if options.rerun:
+        write_recordings(output_dir / RECORDINGS, demonstrations, stages, options.page.frames)
     for place, note in enumerate(segmented.notes):
         print(f"{'' if place else 'data':<11} {note}")
     print("\n".join(found_text(stages, named)))
@@ -194,6 +214,8 @@ def main(options: AnnotateOptions) -> None:
         print(f"{'dataset':<11} {written.root}, with {', '.join(('macro_action', *written.formats))}")
     print(f"page        {output_dir / PAGE}")
     print(f"pictures    {output_dir / 'figures'}")
+    if options.rerun:
+        print(f"recordings  {output_dir / RECORDINGS} (rerun {output_dir / RECORDINGS}/*.rrd)")
 
 
 def by_policy(options: AnnotateOptions) -> Segmented:
@@ -213,10 +235,12 @@ def by_policy(options: AnnotateOptions) -> Segmented:
     return Segmented(demonstrations, policy, annotate(policy, demonstrations), path)
 
 
-def trained(options: AnnotateOptions, output_dir: Path) -> Segmented:
+def trained(options: AnnotateOptions, output_dir: Path, corrections: Corrections | None) -> Segmented:
     """Find the stages as train.py does; the confidence is that of classifiers that never saw a frame."""
     dataset, planner = options.dataset, options.planner
     demonstrations = read_demonstrations(dataset, planner.memory_limit)
+    if corrections is not None:  # before a search, which takes longer
+        corrections.check(demonstrations.numbers, demonstrations.lengths, demonstrations.fps)
     if dataset.labels is not None and planner.macros == "auto":
         planner = replace(planner, macros=None)  # as many as the labels have names
     training = TrainOptions(dataset=dataset, planner=planner, seed=options.seed, device=options.device)
@@ -230,6 +254,8 @@ def trained(options: AnnotateOptions, output_dir: Path) -> Segmented:
     if result.choice is not None:
         macros, bound = result.choice.setting
         notes += (f"{macros} stages with at most {bound} changes, chosen by data that was left out",)
+        if result.policy.config.macros < macros:
+            notes += (f"{result.policy.config.macros} of them hold frames, the others are left out",)
     return Segmented(demonstrations, result.policy, found, result.pretrained, notes)
 
 
@@ -244,16 +270,29 @@ def found_text(stages: Stages, named: Sequence[StageName]) -> list[str]:
     orders = Counter(tuple(label for label, _, _ in one) for one in stages.segments)
     order, count = orders.most_common(1)[0]
     listed = ", ".join(stages.names[label] for label in order[:8]) + ", ..." * (len(order) > 8)
-    if count == len(stages.lengths) and len(set(order)) == len(order):
-        lines.append(f"{'order':<11} the same in all {count} demonstrations, each stage once: {listed}")
+    once = len(set(order)) == len(order)
+    if count == len(stages.lengths):
+        each = ", each stage once" if once else ""
+        lines.append(f"{'order':<11} the same in all {count} demonstrations{each}: {listed}")
     else:
         lines.append(f"{'order':<11} {len(orders)} orders; {count} of {len(stages.lengths)} have {listed}")
+    if count < len(stages.lengths) or not once:
         lines.append(f"{'':<11} (--planner.order=chain finds stages in one order, each once)")
     lines.append(f"{'idle':<11} {stages.idle.mean():.1%} of the frames: nothing moves for a second or more")
     if stages.corrected.any():
         parts = sum(bool(stages.corrected[part].any()) for part in stages.trajectories)
-        lines.append(f"{'corrected':<11} {parts} demonstrations by a person")
+        lines.append(f"{'corrected':<11} {parts} demonstration{'s' * (parts != 1)} by a person")
     return lines
+
+
+def refuse_within(output_dir: Path, root: Path, output: Path | None) -> None:
+    """Raise ValueError where the page would lie in one of the datasets: the old one is never written to."""
+    page = output_dir.resolve()
+    for dataset in (root, output):
+        if dataset is not None and (page == dataset.resolve() or dataset.resolve() in page.parents):
+            raise ValueError(
+                f"--output_dir={output_dir}: lies in the dataset {dataset}; give a folder that does not"
+            )
 
 
 def default_output_dir(root: Path) -> Path:

@@ -79,7 +79,9 @@ def read_corrections(path: Path) -> CorrectionFile:
     Raises ValueError for a file that is no such one or is wrong in any place, and OSError where it cannot be
     read.
     """
-    if path.exists() and not path.is_file():
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file; give the one that the page saved, or a labels.csv")
+    if not path.is_file():
         raise ValueError(f"{path}: is no file; give the one that the page saved, or a labels.csv")
     with path.open("rb") as file:
         content = file.read(LARGEST_FILE + 1)

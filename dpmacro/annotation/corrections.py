@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
@@ -58,15 +59,51 @@ class Corrections:
         they do not have, or of another length, or stages of another number; and where a table's line has
         frames as before and other seconds, since its seconds are not read.
         """
-        self._check(stages.episodes, stages.lengths)
-        if self.file.fps is not None and abs(self.file.fps - stages.fps) > 1e-3 * stages.fps:
-            raise ValueError(
-                f"{self.path}, fps is {self.file.fps:g}: the dataset has {stages.fps:g}; give the dataset's "
-                "own corrections"
-            )
+        names, renamed, changed = self._of(stages)
+        frames = dict(zip(stages.episodes, _parts(stages.lengths), strict=True))
+        labels = np.array(renamed, np.int64)[stages.labels]
+        confidence, corrected = stages.confidence.copy(), stages.corrected.copy()
+        for episode, own in changed.items():
+            part = frames[episode]
+            labels[part], confidence[part], corrected[part] = own, 1, True
+        if self.file.renamed is None:
+            used, labels = np.unique(labels, return_inverse=True)
+            names = tuple(names[k] for k in used.tolist())
+        return replace(
+            stages, labels=labels.astype(np.int64), confidence=confidence, corrected=corrected, names=names
+        )
+
+    def of_stages(self, stages: Stages) -> dict[str, Any]:
+        """What `apply` does to the stages as the page saves it, to go on from there.
+
+        The names, what became of every stage, and the demonstrations that are corrected. A stage that nothing
+        has any more keeps its name, since a correction may be taken back. Errors are those of `apply`.
+        """
+        names, renamed, changed = self._of(stages)
+        return {
+            "fps": stages.fps,
+            "names": list(names),
+            "renamed": [[old, new] for old, new in enumerate(renamed)],
+            "episodes": [
+                {
+                    "episode": episode,
+                    "frames": len(own),
+                    "segments": [
+                        {"start": start, "end": end, "label": label}
+                        for label, start, end in segments(own, np.array([len(own)]))[0].tolist()
+                    ],
+                }
+                for episode, own in changed.items()
+            ],
+        }
+
+    def _of(
+        self, stages: Stages
+    ) -> tuple[tuple[str, ...], tuple[int, ...], dict[int, Int64[np.ndarray, " _"]]]:
+        """Names, the place of every stage in them, and the labels of demonstrations that are corrected."""
+        self.check(stages.episodes, stages.lengths, stages.fps)
         frames = dict(zip(stages.episodes, _parts(stages.lengths), strict=True))
         was = dict(zip(stages.episodes, segments(stages.labels, stages.lengths), strict=True))
-        ends = {number: tuple(own[:, 2].tolist()) for number, own in was.items()}
         if self.file.renamed is None:
             names, renamed = self._of_table(stages.names, was)
         else:
@@ -76,22 +113,15 @@ class Corrections:
                     f"{self.path}, renamed is of {len(renamed)} stages: there are {len(stages.names)} here; "
                     "annotate with the options with which the page was made"
                 )
-        labels = np.array(renamed, np.int64)[stages.labels]
-        confidence, corrected = stages.confidence.copy(), stages.corrected.copy()
         places = np.array([names.index(name) for name in self.names], np.int64)
+        now, changed = np.array(renamed, np.int64), {}
         for one in self.file.episodes:
             part, own = frames[one.episode], places[_labels(one)]
-            if one.ends == ends[one.episode]:
+            if one.ends == tuple(was[one.episode][:, 2].tolist()):
                 self._check_seconds(one, stages.timestamps[part], stages.fps)
-            if not one.by_person and np.array_equal(labels[part], own):
-                continue
-            labels[part], confidence[part], corrected[part] = own, 1, True
-        if self.file.renamed is None:
-            used, labels = np.unique(labels, return_inverse=True)
-            names = tuple(names[k] for k in used.tolist())
-        return replace(
-            stages, labels=labels.astype(np.int64), confidence=confidence, corrected=corrected, names=names
-        )
+            if one.by_person or not np.array_equal(now[stages.labels[part]], own):
+                changed[one.episode] = own
+        return names, renamed, changed
 
     def given(
         self, episodes: Sequence[int], lengths: Int64[np.ndarray, " demonstrations"]
@@ -107,7 +137,7 @@ class Corrections:
 
         Raises ValueError as `apply` does, and for a table in which no demonstration is a person's.
         """
-        self._check(episodes, lengths)
+        self.check(episodes, lengths)
         table = self.file.renamed is None
         held = [one for one in self.file.episodes if one.by_person or (table and not self.file.has_sources)]
         if table and not held:
@@ -121,8 +151,16 @@ class Corrections:
             labels[frames[one.episode]] = _labels(one)
         return labels
 
-    def _check(self, episodes: Sequence[int], lengths: Int64[np.ndarray, " demonstrations"]) -> None:
-        """Raise ValueError for the first demonstration of the file that is not there or of another length."""
+    def check(
+        self, episodes: Sequence[int], lengths: Int64[np.ndarray, " demonstrations"], fps: float | None = None
+    ) -> None:
+        """Raise ValueError for the first demonstration of the file that is not there or of another length.
+
+        Args:
+            episodes: numbers of the demonstrations that there are.
+            lengths: frames of each.
+            fps: frames a second, which are compared with the file's where both are known.
+        """
         frames = dict(zip(episodes, lengths.tolist(), strict=True))
         for one in self.file.episodes:
             if one.episode not in frames:
@@ -135,6 +173,11 @@ class Corrections:
                     f"{one.places[-1]}: ends episode {one.episode} at {one.ends[-1]}, and it has "
                     f"{frames[one.episode]} frames; give the dataset's own corrections"
                 )
+        if fps is not None and self.file.fps is not None and abs(self.file.fps - fps) > 1e-3 * fps:
+            raise ValueError(
+                f"{self.path}, fps is {self.file.fps:g}: the dataset has {fps:g}; give the dataset's "
+                "own corrections"
+            )
 
     def _of_table(
         self, old: tuple[str, ...], was: dict[int, Int64[np.ndarray, "segments 3"]]

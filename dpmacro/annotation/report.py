@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -38,6 +39,7 @@ def write_report(
     frames: int | None = None,
     cameras: Mapping[str, Images] | None = None,
     reasons: tuple[str, ...] = (),
+    corrections: Mapping[str, Any] | None = None,
 ) -> None:
     """Write figures/*.png, tensorboard/, segmentation.json and segmentation.html into `folder`.
 
@@ -46,10 +48,11 @@ def write_report(
         made: the pictures, in their order; each is drawn, written and dropped before the next. Those that
             the page's strips show better (`STRIPS`) are not on the page.
         folder: made where it does not exist.
-        stages: what the page shows and a person corrects; `stages_of(summary)` by default.
+        stages: what the page shows and a person corrects, as it was found; `stages_of(summary)` by default.
         frames: pictures of a demonstration and camera on the page at most; 0 for none.
         cameras: where the page's pictures come from; the summary's images by default.
         reasons: why the stages have their names.
+        corrections: what a person corrected of the stages earlier, see `Shown`.
     """
     report: list[tuple[str, str]] = []
     with SummaryWriter(str(folder / "tensorboard")) as writer:
@@ -65,11 +68,12 @@ def write_report(
             writer.add_image(f"figures/{picture.name}", image, 0, dataformats="HWC")
             if picture.heading not in STRIPS:
                 report.append((picture.heading, html.picture(png, picture.alt, picture.caption)))
-    with replacing(folder / NUMBERS) as path:
-        path.write_text(json.dumps(summary.as_json(), indent=2) + "\n")
     shown = shown_beside(summary, "".join(_parts(summary, report)), cameras, reasons)
+    shown = replace(shown, corrections=corrections)
     name = summary.demonstrations.root.resolve().name
     write_page(folder / PAGE, stages or stages_of(summary), name, shown, frames)
+    with replacing(folder / NUMBERS) as path:  # last: it says that the report is complete
+        path.write_text(json.dumps(summary.as_json(), indent=2) + "\n")
 
 
 def stages_of(summary: Summary) -> Stages:

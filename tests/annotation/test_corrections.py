@@ -464,3 +464,47 @@ def test_a_spoiled_file_is_one_line_or_makes_sense(tmp_path, found):
         else:
             labels = result.labels if isinstance(result, Stages) else result
             assert labels.dtype == np.int64 and labels.shape == own.labels.shape and labels.min() >= -1
+
+
+def by_name(own):
+    return [own.names[label] for label in own.labels]
+
+
+def assert_alike(one, two):
+    """Names frame by frame, not their numbers: a stage that nothing has may be there or not."""
+    assert by_name(one) == by_name(two)
+    assert np.array_equal(one.corrected, two.corrected) and np.array_equal(one.confidence, two.confidence)
+
+
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), as_table=st.booleans())
+def test_what_a_page_is_told_of_corrections_says_the_same_again(data, as_table, tmp_path):
+    """A file -> what the page opens with -> the file that it saves: frames are called and marked alike."""
+    labels = data.draw(st.lists(st.integers(0, 2), min_size=24, max_size=24))
+    own = stages(np.array(labels, np.int64))
+    if as_table:
+        rows = rows_of(own)
+        for row in rows:
+            row[5] = data.draw(st.sampled_from([row[5], *NAMES, "wait"]))
+            row[7] = data.draw(st.sampled_from(["person", "dpmacro"]))
+        corrections = load(tmp_path, table(rows), "labels.csv")
+    else:
+        now = data.draw(st.lists(st.integers(0, 2), min_size=3, max_size=3))
+        corrections = load(tmp_path, page(renamed=[[old, new] for old, new in enumerate(now)]))
+    told = {**corrections.of_stages(own), "format": FORMAT, "dataset": "bananas"}
+    again = load(tmp_path, told, "again.json")
+    assert_alike(again.apply(own), corrections.apply(own))
+    assert again.of_stages(own) == corrections.of_stages(own)
+
+
+def test_a_demonstration_of_another_dataset_is_refused_before_anything_is_known_of_stages(tmp_path):
+    corrections = load(tmp_path, page())
+    corrections.check(EPISODES, LENGTHS, 10.0)
+    corrections.check(EPISODES, LENGTHS)
+    for changes, message in (
+        ({"episodes": (4, 8, 5)}, "there is no episode 7"),
+        ({"lengths": np.array([10, 7, 8])}, "ends episode 7 at 6, and it has 7 frames"),
+        ({"fps": 30.0}, "fps is 10: the dataset has 30"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            corrections.check(**{"episodes": EPISODES, "lengths": LENGTHS, "fps": 10.0, **changes})

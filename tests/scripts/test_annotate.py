@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -87,6 +88,92 @@ def test_bad_options_are_one_line_and_status_2(options, message, script, tmp_pat
     assert not (tmp_path / "out").exists()
 
 
+def refused(script, monkeypatch, capsys, *options):
+    """The one line with which a call is refused."""
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, *options)
+    error = capsys.readouterr().err
+    last = error.replace("\r", "\n").splitlines()[-1]  # below progress bars
+    assert exit_.value.code == 2 and error.count("error: ") == 1 and last.startswith("error: ")
+    return last
+
+
+@pytest.mark.parametrize(
+    ("page", "output", "message"),
+    [
+        (
+            "in/page",
+            None,
+            "--output_dir={0}/in/page: lies in the dataset {0}/in; give a folder that does not",
+        ),
+        ("link/page", None, "lies in the dataset {0}/in"),
+        ("out/page", "out", "lies in the dataset {0}/out"),
+        ("out", "out", "lies in the dataset {0}/out"),
+        ("file/page", None, "--output_dir={0}/file/page: {0}/file is no folder; give a place in one"),
+        ("page", "file/out", "--output={0}/file/out: {0}/file is no folder; give a place in one"),
+        ("shut/page", None, "--output_dir={0}/shut/page: {0}/shut cannot be written to; give a folder that"),
+        ("page", "shut/a/out", "--output={0}/shut/a/out: {0}/shut cannot be written to; give a folder that"),
+    ],
+)
+def test_places_that_cannot_be_are_refused_before_a_search(
+    page, output, message, script, recorded, tmp_path, monkeypatch, capsys
+):
+    shutil.copytree(recorded, tmp_path / "in")
+    (tmp_path / "link").symlink_to(tmp_path / "in")
+    (tmp_path / "file").touch()
+    (tmp_path / "shut").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    allowed = os.access  # root may write everywhere
+    monkeypatch.setattr(os, "access", lambda path, mode: path.name != "shut" and allowed(path, mode))
+    monkeypatch.setattr(script, "trained", lambda *_: pytest.fail("searched"))
+    options = [f"--dataset.root={tmp_path / 'in'}", f"--output_dir={tmp_path / page}"]
+    options += [f"--output={tmp_path / output}"] if output else []
+    assert message.format(tmp_path) in refused(script, monkeypatch, capsys, *options)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_corrections_of_another_dataset_are_refused_before_a_search(
+    script, recorded, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(script, "Trainer", lambda *_: pytest.fail("searched"))
+    path = tmp_path / "labels.csv"
+    path.write_text("episode,start_frame,end_frame,label\n9,0,12,a\n")
+    options = [f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'page'}"]
+    line = refused(script, monkeypatch, capsys, *options, f"--corrections={path}")
+    assert "labels.csv, line 2: there is no episode 9 among the 4 read" in line
+    line = refused(script, monkeypatch, capsys, *options, f"--corrections={tmp_path / 'nowhere.json'}")
+    assert "nowhere.json: no such file; give the one that the page saved" in line
+    assert not (tmp_path / "page").exists()
+
+
+def test_a_run_that_is_stopped_before_the_page_is_there_goes_on(
+    script, policy, recorded, tmp_path, monkeypatch, capsys
+):
+    """The dataset has no name before the page is complete: nothing looks finished, and nothing is refused."""
+    options = [f"--policy.path={policy}", f"--dataset.root={recorded}", "--names=[a, b]"]
+    options += [f"--output={tmp_path / 'out'}", f"--output_dir={tmp_path / 'page'}"]
+    monkeypatch.setattr(script, "pictures", lambda *_: iter(()))
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("dpmacro.annotation.report.write_page", stopped)
+        with pytest.raises(SystemExit) as exit_:
+            call(script, patched, *options)
+    assert exit_.value.code == cli.INTERRUPTED
+    assert {path.name for path in tmp_path.iterdir()} == {".out.partial", "page"}
+    written = next((tmp_path / ".out.partial/dataset/data").rglob("*.parquet"))
+    before = written.stat()
+    call(script, monkeypatch, *options)
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "page"}
+    after = next((tmp_path / "out/data").rglob("*.parquet")).stat()
+    assert (before.st_ino, before.st_mtime_ns) == (after.st_ino, after.st_mtime_ns), (
+        "nothing is written twice"
+    )
+    assert (tmp_path / "page/segmentation.html").exists() and (tmp_path / "page/segmentation.json").exists()
+
+
 def test_a_folder_by_date_ends_in_the_datasets_name(script):
     assert script.default_output_dir(Path("data/100%Flags")).name.endswith("_100%Flags")
 
@@ -94,8 +181,15 @@ def test_a_folder_by_date_ends_in_the_datasets_name(script):
 def test_a_segmentation_as_a_command(policy, recorded, tmp_path):
     options = [f"--policy.path={policy}", f"--dataset.root={recorded}", f"--output_dir={tmp_path}"]
     command = [sys.executable, str(SCRIPT), *options, "--tolerance=1"]
+    if importlib.util.find_spec("rerun"):
+        command.append("--rerun=true")
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
+    if "--rerun=true" in command:
+        folder = tmp_path / "rerun"
+        assert f"recordings  {folder}" in done.stdout and "Recordings: 100%" in done.stderr
+        assert {path.name for path in folder.iterdir()} == {f"two_flags_episode_{k}.rrd" for k in range(4)}
+    assert "Images of avatar: 100%" in done.stderr
     assert "uniform cuts" in done.stdout and "frames that agree" in done.stdout
     assert str(tmp_path / "segmentation.html") in done.stdout and "Pictures: 100%" in done.stderr
     numbers = json.loads((tmp_path / "segmentation.json").read_text())
@@ -106,6 +200,22 @@ def test_a_segmentation_as_a_command(policy, recorded, tmp_path):
         path.name for path in (tmp_path / "figures").iterdir()
     }
     assert "data:image/png;base64," in (tmp_path / "segmentation.html").read_text()
+
+
+def test_without_rerun_nothing_is_begun(script, recorded, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    monkeypatch.setattr(script, "trained", lambda *_: pytest.fail("searched"))
+    with pytest.raises(SystemExit) as exit_:
+        call(
+            script,
+            monkeypatch,
+            f"--dataset.root={recorded}",
+            "--rerun=true",
+            f"--output_dir={tmp_path / 'out'}",
+        )
+    error = capsys.readouterr().err
+    assert exit_.value.code == 2 and error.count("\n") == 1 and "pip install 'rerun-sdk" in error
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_segmentation_of_some_episodes(script, policy, recorded, tmp_path, monkeypatch, capsys):
@@ -150,7 +260,8 @@ def test_stages_are_found_written_corrected_and_written_again(
     options = [f"--dataset.root={recorded}", *SMALL, "--planner.rectangles=32", "--names=[first, second]"]
     first, second = tmp_path / "first", tmp_path / "second"
     call(script, monkeypatch, *options, f"--output={first}", f"--output_dir={tmp_path / 'page'}")
-    told = capsys.readouterr().out
+    told, bars = capsys.readouterr()
+    assert "Dataset: 100%" in bars
     assert "stage 0     first" in told and f"dataset     {first}" in told and "idle " in told
     stages = read_labels(first)
     assert stages.names == ("first", "second") and not stages.corrected.any()
@@ -178,7 +289,7 @@ def test_stages_are_found_written_corrected_and_written_again(
     )
     options = [f"--dataset.root={recorded}", f"--policy.path={policy}", f"--corrections={corrections}"]
     call(script, monkeypatch, *options, f"--output={second}", f"--output_dir={tmp_path / 'again'}")
-    assert "corrected   1 demonstrations by a person" in capsys.readouterr().out
+    assert "corrected   1 demonstration by a person" in capsys.readouterr().out
     corrected = read_labels(second)
     part = corrected.trajectories[1]
     assert corrected.names == ("reach", "leave")

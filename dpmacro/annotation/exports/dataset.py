@@ -3,13 +3,15 @@
 import errno
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from tqdm import tqdm
 
 from dpmacro.annotation.exports.base import Export, Labelled, Make
 from dpmacro.annotation.exports.folders import copy, files_of, link_or_copy, refuse_places, unfinished
@@ -22,11 +24,12 @@ from dpmacro.annotation.stages import Stages
 from dpmacro.data.lerobot.tables import column_names, read_json
 from dpmacro.utils.files import replacing
 
-__all__ = ["WrittenLabels", "write_labels"]
+__all__ = ["WrittenLabels", "write_labels", "writing_labels"]
 
 LAYOUT = 1  # of what is written: another one is not gone on with
 INFO, STATISTICS = "meta/info.json", "meta/stats.json"
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
+NO_PLACE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.ENAMETOOLONG)
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,24 @@ def write_labels(
     in each other; for formats that there are not or that cannot be written. Raises OSError, one line
     with the place, where there is no space, or no right to write.
     """
+    with writing_labels(root, output, stages, formats, skip=skip) as written:
+        return written
+
+
+@contextmanager
+def writing_labels(
+    root: str | Path,
+    output: str | Path,
+    stages: Stages,
+    formats: Sequence[str] | None = None,
+    *,
+    skip: bool = False,
+) -> Iterator[WrittenLabels]:
+    """The same for what has to be done before the new folder gets its name, which it does after the block.
+
+    The dataset is written before the block begins. Where the block raises, or is stopped, there is no new
+    folder, and a later call goes on with what was written. Arguments and errors are those of `write_labels`.
+    """
     root, output = Path(root), Path(output)
     refuse_places(root, output)
     labelled = labelled_dataset(root, stages)
@@ -84,12 +105,12 @@ def write_labels(
     first = MacroAction(labelled, written)
     dropped = tuple(FORMATS[name] for name in before if name not in written)
     build = _Build(labelled, files_of(root), (first, *exports), dropped)
-    try:
-        with unfinished(output, build.fingerprint) as folder:
-            build.write(folder)
-    except OSError as error:
-        raise _told(output, error) from error
-    return WrittenLabels(output, written, (*build.replaced(), *notes))
+    with ExitStack() as stack:
+        try:
+            build.write(stack.enter_context(unfinished(output, build.fingerprint)))
+        except OSError as error:
+            raise _told(output, error) from error
+        yield WrittenLabels(output, written, (*build.replaced(), *notes))
 
 
 @dataclass(frozen=True)
@@ -127,7 +148,8 @@ class _Build:
     def write(self, folder: Path) -> None:
         """Write what is not there yet, meta/info.json last; a file under its own name is complete."""
         files = self._files()
-        for name in sorted(files, key=lambda name: (name == INFO, name)):
+        ordered = sorted(files, key=lambda name: (name == INFO, name))
+        for name in tqdm(ordered, "Dataset", unit="file"):
             target = folder / name
             if not target.exists():
                 files[name](target)
@@ -256,7 +278,7 @@ def _told(output: Path, error: OSError) -> OSError:
     where = f" at {error.filename}" if error.filename else ""
     if error.errno in NO_SPACE:
         remedy = "free some space and run it again: it goes on with what is written"
-    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+    elif error.errno in NO_PLACE:
         remedy = "give a folder that you may write to"
     else:
         remedy = "run it again: it goes on with what is written"

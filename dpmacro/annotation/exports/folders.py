@@ -11,7 +11,7 @@ from typing import IO
 from dpmacro.data.images import DatasetError
 from dpmacro.utils.files import replacing
 
-__all__ = ["copy", "files_of", "link_or_copy", "refuse_places", "unfinished"]
+__all__ = ["copy", "files_of", "link_or_copy", "refuse_places", "refuse_unwritable", "unfinished"]
 
 # What a file system says that has no hard links, or none from the one to the other.
 NO_LINKS = {
@@ -36,6 +36,22 @@ def refuse_places(root: Path, output: Path) -> None:
     if output.is_symlink() or (output.exists() and not _is_empty_folder(output)):
         what = "holds a dataset already" if (output / INFO).exists() else "exists already"
         raise ValueError(f"--output={output}: {what}; remove it or give another")
+
+
+def refuse_unwritable(option: str, folder: Path) -> None:
+    """Raise OSError, one line, where nothing can be written into a folder that is yet to be made.
+
+    Nothing is written to find out: what holds the folder is asked for its rights.
+    """
+    holder = folder
+    while not os.path.lexists(holder) and holder != holder.parent:
+        holder = holder.parent
+    if not holder.is_dir():
+        raise NotADirectoryError(f"{option}={folder}: {holder} is no folder; give a place in one")
+    if not os.access(holder, os.W_OK | os.X_OK):
+        raise PermissionError(
+            f"{option}={folder}: {holder.resolve()} cannot be written to; give a folder that you may write to"
+        )
 
 
 @contextmanager

@@ -59,6 +59,7 @@ def contents(
         "fps": stages.fps,
         "names": list(stages.names),
         "reasons": list(shown.reasons),
+        "corrections": shown.corrections and {**shown.corrections, "format": FORMAT, "dataset": dataset},
         "colours": PALETTE,
         "greys": GREYS,
         "truth": shown.truth and {"column": shown.truth.column, "names": list(shown.truth.names)},

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Int64, UInt8
@@ -53,6 +54,8 @@ class Shown:
         reasons: why each stage has its name, in the order of the stages' names; () for no reasons.
         facts: what was segmented and how, name -> text.
         report: markup of sections that stand below, made by `dpmacro.annotation.html`.
+        corrections: what a person corrected of the stages earlier, as `Corrections.of_stages` tells it: the
+            page opens with that, and saves it with what is corrected there. None for nothing.
     """
 
     truth: Truth | None = None
@@ -61,6 +64,7 @@ class Shown:
     reasons: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     report: str = ""
+    corrections: Mapping[str, Any] | None = None
 
 
 def check(stages: Stages, shown: Shown) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Int, Int64, UInt8
 
 from dpmacro.annotation.page.shown import Images
 
-__all__ = ["BUDGET", "Sheet", "chosen_frames", "sprites"]
+__all__ = ["BUDGET", "QUALITIES", "Sheet", "chosen_frames", "resized", "sprites"]
 
 BUDGET = 18_000_000  # letters of all pictures on a page: 20 MB for 100 demonstrations, less all else there
 USUAL = 100  # frames of a demonstration, and `A_SECOND` of longer ones
@@ -90,7 +90,7 @@ def sprites(
     """
     starts = np.cumsum(lengths) - lengths
     wanted = np.concatenate([start + frames for start, frames in zip(starts, chosen, strict=True)])
-    rest, shrunk = len(wanted), _shrunk(images, wanted.astype(np.int64), budget, camera)
+    rest, shrunk = len(wanted), resized(images, wanted.astype(np.int64), budget, camera)
     result: list[list[Sheet]] = []
     for frames in chosen:
         sheets = []
@@ -106,10 +106,13 @@ def sprites(
     return result
 
 
-def _shrunk(
+def resized(
     images: Images, wanted: Int64[np.ndarray, " chosen"], budget: int, camera: str
 ) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    """Every image wanted, at the size that the budget allows."""
+    """Every image wanted, at the size that the budget allows, as WebP; one after another.
+
+    Raises ValueError where an image is no RGB image of bytes of the others' size, or one is missing.
+    """
     size, stored, count = (0, 0), (), 0
     for image in images(wanted) if len(wanted) else ():
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:

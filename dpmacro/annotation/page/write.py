@@ -1,14 +1,18 @@
 """The page itself: template, style, script and data in one file that asks for nothing from outside."""
 
 from base64 import b64encode
+from collections.abc import Iterator
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Int64, UInt8
 from jinja2 import Environment, StrictUndefined
+from tqdm import tqdm
 
 from dpmacro.annotation.page.contents import as_script, contents
-from dpmacro.annotation.page.shown import Shown, check
+from dpmacro.annotation.page.shown import Images, Shown, check
 from dpmacro.annotation.page.sprites import BUDGET, Sheet, chosen_frames, sprites
 from dpmacro.annotation.stages import Stages
 from dpmacro.utils.files import replacing
@@ -56,11 +60,23 @@ def write_page(
     left, sheets = budget, list[list[list[Sheet]]]()
     for place, (camera, images) in enumerate(shown.cameras.items()):
         share = left // (len(shown.cameras) - place)
-        sheets.append(sprites(images, stages.lengths, chosen, share, camera))
+        sheets.append(sprites(_with_progress(images, camera), stages.lengths, chosen, share, camera))
         left -= sum(len(sheet.source) for own in sheets[-1] for sheet in own)
     text = page_text(stages, dataset, shown, sheets)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+def _with_progress(images: Images, camera: str) -> Images:
+    """The same images, with a bar that shows how many of them have been asked for."""
+
+    def counted(frames: Int64[np.ndarray, " _"]) -> Iterator[UInt8[np.ndarray, "_ _ 3"]]:
+        with tqdm(desc=f"Images of {camera}", total=len(frames), unit="image") as bar:
+            for image in images(frames):
+                bar.update()
+                yield image
+
+    return counted
 
 
 def page_text(stages: Stages, dataset: str, shown: Shown, sheets: list[list[list[Sheet]]]) -> str:

@@ -120,6 +120,10 @@ def _open_video(path: Path) -> Any:
     if not container.streams.video:
         container.close()
         raise DatasetError(f"{path}: holds no video; record the dataset again")
+    stream = container.streams.video[0]
+    if stream.codec_context is None or not stream.time_base:
+        container.close()
+        raise DatasetError(f"{path}: holds a video of no known codec or clock; record the dataset again")
     return container
 
 

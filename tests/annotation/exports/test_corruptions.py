@@ -7,9 +7,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from compared import assert_nothing_lost
+from lerobot_files import VIDEO, build
 
 from dpmacro.annotation.exports.dataset import write_labels
 from dpmacro.annotation.exports.labelling import read_labels
+from dpmacro.data.demonstrations import DatasetError, Demonstrations
 
 CASES = 30
 ODD = (None, "", "x", -1, 0, 2**70, 1e308, float("nan"), [], {}, [None], {"a": 1}, True)
@@ -117,3 +119,14 @@ def test_a_damaged_dataset_gives_one_line_or_a_right_dataset(stored, stages, tmp
         assert np.array_equal(found.labels, stages.labels)
         assert np.allclose(found.confidence, stages.confidence)
     assert before == {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("damage", [(b"avc1", b"zz\x01z"), (b"mdhd", b"xxxx")], ids=["codec", "clock"])
+def test_a_video_of_no_known_codec_is_one_line(damage, tmp_path):
+    root = build(tmp_path / "in", video={})
+    content = (root / VIDEO).read_bytes()
+    assert damage[0] in content
+    (root / VIDEO).write_bytes(content.replace(*damage))
+    with pytest.raises(DatasetError, match=r"file-000\.mp4: ") as caught:
+        Demonstrations.load(root)
+    assert "\n" not in str(caught.value)

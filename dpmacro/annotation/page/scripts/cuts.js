@@ -46,6 +46,13 @@ function deleteCut() {
   else changeSegments(withoutCut(segments, cut), `Cut before frame ${segments[cut].start} deleted.`);
 }
 
+function takeBack() {
+  letGo();
+  const { episode } = current();
+  if (!isEdited(history.state, ui.place)) return say(`Demonstration ${episode} is as it was found.`);
+  return change(withFound(history.state, ui.place), `Demonstration ${episode} is as it was found again.`);
+}
+
 function assign(stage) {
   letGo();
   const { stages } = history.state;

@@ -62,12 +62,12 @@ function endOf(runs, place, frames) {
 }
 
 // First those whose labels are least sure, to a hundredth; among equals those with the most unusual number
-// of segments.
+// of segments; last those that a person corrected earlier.
 function placesByNeed() {
   const counts = demonstrations.map((one) => one.segments.length).sort((a, b) => a - b);
   const median = counts[counts.length >> 1];
   const need = demonstrations.map((one) => [
-    Math.round(meanConfidence(one, 0, one.frames) * 100),
+    opened.held.has(one.place) ? 101 : Math.round(meanConfidence(one, 0, one.frames) * 100),
     -Math.abs(one.segments.length - median),
     one.place,
   ]);

@@ -173,9 +173,8 @@ function drawReadout() {
     rows.push([data.truth.column, data.truth.names[one.truth[runAt(one.truth, frame)].label]]);
   }
   if (one.idle.some(([start, end]) => start <= frame && frame < end)) rows.push(["motion", "none"]);
-  if (one.corrected.some(([start, end]) => start <= frame && frame < end)) {
-    rows.push(["source", "a person, earlier"]);
-  }
+  const byPerson = one.corrected.some(([start, end]) => start <= frame && frame < end);
+  if (byPerson || isEarlier(history.state, place)) rows.push(["source", "a person, earlier"]);
   const list = document.getElementById("readout");
   list.replaceChildren(
     ...rows.flatMap(([name, value]) => {

@@ -2,11 +2,13 @@
 //   stages    of each its name, its colour's number and why it had its first name
 //   renamed   of every stage in the data, its number now
 //   segments  of every demonstration, [{start, label}], ascending, the first at 0
+//   held      the places of demonstrations that a file of corrections lists, however they are cut
 
 const firstState = {
   stages: data.names.map((name, k) => ({ name, colour: k, reason: data.reasons[k] || "" })),
   renamed: data.names.map((_, k) => k),
   segments: demonstrations.map((one) => one.segments),
+  held: new Set(),
 };
 
 // Neighbours of one stage become one segment.
@@ -66,21 +68,34 @@ function withMerged(state, from, into) {
     return kept > from ? kept - 1 : kept;
   };
   return {
+    ...state,
     stages: state.stages.filter((_, k) => k !== from),
     renamed: state.renamed.map(now),
     segments: state.segments.map((own) => joined(own.map((one) => ({ ...one, label: now(one.label) })))),
   };
 }
 
+// A demonstration's segments as they were found, their stages renamed and merged like all others'.
+function asFound(state, place) {
+  return joined(demonstrations[place].segments.map((one) => ({ ...one, label: state.renamed[one.label] })));
+}
+
+function withFound(state, place) {
+  const held = new Set(state.held);
+  held.delete(place);
+  return { ...withSegments(state, place, asFound(state, place)), held };
+}
+
 function isIdentity(renamed) {
   return renamed.every((label, k) => label === k);
 }
 
-// Whether a person changed a demonstration otherwise than by names and mergers, which concern all alike.
+// Whether a person corrected a demonstration: it is in a file of corrections, or was changed otherwise than by
+// names and mergers, which concern all alike.
 function isEdited(state, place) {
-  const before = demonstrations[place].segments;
-  if (state.segments[place] === before) return false;
-  const was = joined(before.map((one) => ({ ...one, label: state.renamed[one.label] })));
+  if (state.held.has(place)) return true;
+  if (state.segments[place] === demonstrations[place].segments) return false;
+  const was = asFound(state, place);
   const is = joined(state.segments[place]);
   return was.length !== is.length || was.some((one, k) => one.start !== is[k].start || one.label !== is[k].label);
 }
@@ -146,6 +161,7 @@ function stateFrom(found) {
     joined(one.segments.map(({ start, label }) => ({ start, label: now[label] }))),
   );
   must(Array.isArray(episodes), "it has no list of episodes");
+  const held = new Set();
   for (const { episode, frames, segments: own } of episodes) {
     const one = demonstrations.find((other) => other.episode === episode);
     must(one && one.frames === frames, `its episode ${episode} is not of this page`);
@@ -154,13 +170,22 @@ function stateFrom(found) {
       own.every((part, k) => part.start < part.end && (!k || part.start === own[k - 1].end)) &&
       own.every((part) => within(part.start, frames) && within(part.label, names.length));
     must(whole, `its episode ${episode} is not covered by segments`);
+    held.add(one.place);
     segments[one.place] = joined(own.map(({ start, label }) => ({ start, label })));
   }
-  return { stages, renamed: now, segments };
+  return { stages, renamed: now, segments, held };
+}
+
+// What the page opens with: corrections that were made earlier are in it, and are saved with the new ones.
+const opened = data.corrections ? stateFrom(data.corrections) : firstState;
+
+function isEarlier(state, place) {
+  return opened.held.has(place) && state.held.has(place) && state.segments[place] === opened.segments[place];
 }
 
 // Undo and redo. Changes of one `gesture` (a cut held and moved key by key) are undone together.
-const history = { past: [], state: firstState, future: [], gesture: null };
+// The first step back from corrections made earlier leaves all of them out.
+const history = { past: opened === firstState ? [] : [firstState], state: opened, future: [], gesture: null };
 
 function remember(state, gesture = null) {
   if (gesture === null || gesture !== history.gesture) history.past.push(history.state);

@@ -3,7 +3,7 @@
 const keysDialog = document.getElementById("keys");
 const statusLine = document.getElementById("status");
 let awaited = 0;
-let savedState = firstState;
+let savedState = opened;
 
 function say(text) {
   statusLine.textContent = text;
@@ -39,7 +39,8 @@ function travel(step, done, nothing) {
     select(changed[0].place);
     scrollToRow();
   }
-  say(done);
+  const leftOut = history.state === firstState && opened !== firstState;
+  say(leftOut ? "Undone: all corrections made earlier are left out. Redo brings them back." : done);
   return draw();
 }
 
@@ -48,7 +49,7 @@ const redo = () => travel(stepForward, "Done again.", "There is nothing to do ag
 
 function save() {
   if (document.activeElement.matches("#stages input")) document.activeElement.blur(); // takes the name typed
-  if (!isChanged(history.state)) return say("Nothing has been changed yet.");
+  if (!isChanged(history.state) && !isChanged(opened)) return say("Nothing has been changed yet.");
   const text = `${JSON.stringify(corrections(history.state), null, 1)}\n`;
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([text], { type: "application/json" }));
@@ -126,6 +127,7 @@ const KEYS = {
   a: addCut,
   d: deleteCut,
   Delete: deleteCut,
+  f: takeBack,
   u: undo,
   U: redo,
   "+": () => zoom(0.5),
@@ -194,6 +196,7 @@ const BUTTONS = {
   },
   "add-cut": addCut,
   "delete-cut": deleteCut,
+  "as-found": takeBack,
   "zoom-in": KEYS["+"],
   "zoom-out": KEYS["-"],
   "zoom-fit": KEYS[0],
@@ -218,7 +221,8 @@ scale.addEventListener("change", () => {
 });
 
 window.addEventListener("beforeunload", (event) => {
-  if (history.state !== savedState && isChanged(history.state)) event.preventDefault();
+  const differ = history.state !== savedState && (isChanged(history.state) || isChanged(opened));
+  if (differ) event.preventDefault();
 });
 
 function restyle() {
