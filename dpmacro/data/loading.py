@@ -1,5 +1,6 @@
 """A LeRobot dataset -> the parts of demonstrations, checked one after another."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,14 @@ def load_parts(
         },
         "tasks": tasks,
         "episodes": tuple(episode.index for episode in chosen),
-        "notes": (*_notes(buffers, vectors, tasks, observations), *what.notes, *depths, *_disorder(rows)),
+        "notes": (
+            *_notes(buffers, vectors, tasks, observations),
+            *store.notes,
+            *_rate(store),
+            *what.notes,
+            *depths,
+            *_disorder(rows),
+        ),
     }
 
 
@@ -105,11 +113,24 @@ def _of_task(store: StoredDataset, episodes: list[StoredEpisode], task: str | in
     return found
 
 
-def _disorder(rows: Rows) -> list[str]:
-    if not rows.unordered:
+def _rate(store: StoredDataset) -> list[str]:
+    if store.info["fps"] == store.fps:
         return []
-    which = ", ".join(map(str, rows.unordered[:5])) + (", ..." if len(rows.unordered) > 5 else "")
-    return [f"frame_index repeats in episodes {which}: their frames are taken in the order of the rows"]
+    said = json.dumps(store.info["fps"])
+    return [f"info.json: fps is {said}; the timestamps say {store.fps:g} frames a second, which is taken"]
+
+
+def _disorder(rows: Rows) -> list[str]:
+    """A line for each kind of frame_index that numbers an episode's frames in another way than 0, 1, ..."""
+    told = {
+        "frame_index repeats in {}: their frames are taken in the order of the rows": rows.unordered,
+        "frame_index leaves numbers out in {}: the frames that there are follow one another": rows.skipping,
+    }
+    return [line.format(f"episodes {_listed(which)}") for line, which in told.items() if which]
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
 
 
 def _refuse_short(store: StoredDataset, episode: StoredEpisode, length: int | None) -> None:

@@ -352,10 +352,6 @@ SPOILED = {
         lambda root: (root / "meta/info.json").write_text('{"codebase_version": "v3.0"}'),
         r"has no features",
     ),
-    "more frames promised": (
-        lambda root: edit_json(root / "meta/info.json", total_frames=31),
-        r"half-written, info\.json says 4 episodes and 31 frames, meta/episodes lists 4 and 30",
-    ),
     "more episodes promised": (
         lambda root: edit_json(root / "meta/info.json", total_episodes=5),
         r"half-written, info\.json says 5 episodes",
