@@ -85,6 +85,7 @@ def generate(root: Path, contents: Contents) -> Path:
         if holds != asdict(contents):
             raise ValueError(f"{root} holds {holds}, asked for is {asdict(contents)}: give a new folder")
         return root
+    os.environ.setdefault("SVT_LOG", "1")  # errors only
     with _new_folder(root) as folder:
         states, actions = _moves(contents)
         _write_tables(folder, contents, states, actions)

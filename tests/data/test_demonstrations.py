@@ -303,8 +303,10 @@ def test_the_lossless_camera_is_preferred_and_video_can_be_named(two_cameras):
 def test_images_are_shrunk_while_they_are_read(two_cameras, camera, size):
     stored = Demonstrations.load(two_cameras, camera=camera, transform=AS_FILMED if camera == VIEW else PLAIN)
     shrunk = Demonstrations.load(two_cameras, camera=camera, transform=ImageTransform(size))
-    wanted = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in stored.images]
-    assert np.array_equal(shrunk.images, wanted)
+    wanted = np.stack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in stored.images])
+    # Of a video the planes are shrunk, before colours are computed and rounded.
+    off = np.abs(shrunk.images.astype(int) - wanted.reshape(shrunk.images.shape))
+    assert off.max() <= (0 if camera == AVATAR else 4) and off.mean() < 1.5
     assert (stored.stored_shape, shrunk.stored_shape) == (None, stored.images.shape[1:3])
     assert shrunk.select([1]).stored_shape == stored.images.shape[1:3]
 

@@ -66,7 +66,7 @@ def fill(
     damaged, and what `FrameBuffer.put` raises.
     """
     if store.features[camera]["dtype"] == "video":
-        decode_videos(_clips(store, camera, episodes, rows, tolerance), buffer.put)
+        decode_videos(_clips(store, camera, episodes, rows, tolerance), buffer.put, buffer.sized)
         return
     for part in rows.parts:
         for some, table in read_batches(part.path, [camera], part.rows):
