@@ -2,9 +2,9 @@
 
 python benchmarks/odd_datasets.py --report=docs/odd_datasets.md
 
-The datasets are those of the tests, made by `odd_cases` and `odd_refused`. A dataset that LeRobot reads whole
-has to be read here as well, with the same images. Rows are kept in a file by LeRobot's version, so that the
-report shows all versions that the command ran with.
+The datasets are those of the tests, made by `odd_cases` and `odd_refused`. A dataset that LeRobot reads
+whole has to be read here as well, with the same images. Rows are kept in a file by LeRobot's version, so that
+the report shows all versions that the command ran with.
 """
 
 import json
@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 import torch
 from lerobot_files import CAMERA, levels
-from odd_cases import FILMS, TABLES, Odd
+from odd_cases import FILMS, TABLES
+from odd_changes import Odd
 from odd_refused import FILMS_REFUSED, TABLES_REFUSED
 
 from dpmacro.data.demonstrations import DatasetError, Demonstrations
@@ -56,11 +57,12 @@ class Outcome:
     name: str
     ours: str
     theirs: str
+    excuse: str = ""
 
     @property
     def wrong(self) -> bool:
-        """Whether LeRobot reads the right frames and dpmacro does not, or dpmacro reads wrong ones."""
-        return self.ours == WRONG or (self.theirs == RIGHT and self.ours != RIGHT)
+        """Whether dpmacro reads wrong frames, or refuses what LeRobot reads, without an excuse."""
+        return self.ours == WRONG or (self.theirs == RIGHT and self.ours != RIGHT and not self.excuse)
 
 
 def main(options: OddOptions) -> None:
@@ -100,7 +102,7 @@ def outcome(group: str, name: str, odd: Odd) -> Outcome:
         if images is not None:
             right = images == list(odd.shown) or not odd.shown
             theirs = RIGHT if right else f"frames {', '.join(map(str, images))}"
-    return Outcome(group, name, ours, theirs)
+    return Outcome(group, name, ours, theirs, odd.excuse)
 
 
 def report(known: dict[str, list[dict[str, Any]]], command: str) -> str:
@@ -112,7 +114,7 @@ def report(known: dict[str, list[dict[str, Any]]], command: str) -> str:
         "Datasets as users have them, each with one oddity, made by `benchmarks/odd_cases.py` and",
         "`benchmarks/odd_refused.py`; the tests read the same ones. A dataset has two episodes, of 5 and 6",
         "frames, a camera, a state and vectors as actions. What cannot be read is refused in one line. Where",
-        "LeRobot reads all frames of a dataset, so does dpmacro.",
+        "LeRobot reads all frames of a dataset, so does dpmacro, or the table says why not.",
         "",
         f"Written by `{command}`, dpmacro {version('dpmacro')}, LeRobot {' and '.join(versions)}.",
     ]
@@ -125,13 +127,18 @@ def report(known: dict[str, list[dict[str, Any]]], command: str) -> str:
                 key: next((row for row in rows if (row["group"], row["name"]) == (group, name)), None)
                 for key, rows in known.items()
             }
-            ours = dict.fromkeys(row["ours"] for row in of.values() if row)
+            ours = dict.fromkeys(_with_excuse(row) for row in of.values() if row)
             lines.append(
                 _line(
                     [name, "; or ".join(ours), *((of[one] or {"theirs": "-"})["theirs"] for one in versions)]
                 )
             )
     return "\n".join(lines) + "\n"
+
+
+def _with_excuse(row: dict[str, Any]) -> str:
+    excuse = row.get("excuse")
+    return f"{row['ours']} (refused, as {excuse})" if excuse else row["ours"]
 
 
 def _ours(root: Path) -> tuple[str, list[int] | None]:

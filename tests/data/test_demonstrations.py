@@ -379,7 +379,7 @@ SPOILED = {
             set_column(root, "length", [12, 1, 2, 9], file=EPISODES),
             edit_json(root / "meta/info.json", total_frames=24),
         ],
-        r"episode 1 has 1 frame; dpmacro needs at least two frames per episode",
+        r"half-written, episode 1 has 1 frames by meta/episodes and 7 in file-000",
     ),
     "no action": (
         lambda root: edit_features(root, action=None, discrete_action=None),

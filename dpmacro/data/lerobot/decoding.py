@@ -32,6 +32,7 @@ __all__ = [
 ]
 
 RUN = 400  # frames that a thread decodes at a time, at least: opening the file and seeking take a few
+LEVELS = 255  # the brightest
 Put = Callable[[int, np.ndarray, tuple[int, int] | None], None]
 Sized = Callable[[int, int], tuple[int, int]]
 
@@ -110,19 +111,37 @@ def in_threads(work: Callable[[Any], None], pieces: Iterable[Any]) -> None:
 
 
 def decode_image(content: Any) -> UInt8[np.ndarray, "height width 3"] | None:
-    """The RGB image of PNG or JPEG bytes; None where they are damaged."""
+    """The RGB image of PNG or JPEG bytes, or of pixels; None where they are damaged."""
+    if content is None or isinstance(content, np.ndarray):
+        return _as_rgb(content)
     encoded = np.frombuffer(content, np.uint8)
     image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
     return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def probe_image(content: Any) -> Picture | None:
-    """How an encoded image is stored; None where it is damaged."""
+    """How an encoded image, or one of pixels, is stored; None where it is damaged."""
+    if content is None or isinstance(content, np.ndarray):
+        if content is not None and content.ndim == 2 and content.size and content.max() > LEVELS:
+            return Picture(content.shape[0], content.shape[1], True)
+        rgb = _as_rgb(content)
+        return None if rgb is None else Picture(rgb.shape[0], rgb.shape[1], False)
     encoded = np.frombuffer(content, np.uint8)
     image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
     if image is None:
         return None
     return Picture(image.shape[0], image.shape[1], image.dtype != np.uint8 and image.ndim == 2)
+
+
+def _as_rgb(pixels: np.ndarray | None) -> UInt8[np.ndarray, "height width 3"] | None:
+    """Grey levels, RGB, or RGB and alpha, from 0 to LEVELS, as RGB; None for anything else."""
+    if pixels is None or not pixels.size or pixels.min() < 0 or pixels.max() > LEVELS:
+        return None
+    levels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if levels.shape[2] not in (1, 3, 4):
+        return None
+    colours = levels[..., :3].astype(np.uint8)
+    return np.repeat(colours, 3, axis=2) if levels.shape[2] == 1 else np.ascontiguousarray(colours)
 
 
 def _open_video(path: Path) -> Any:

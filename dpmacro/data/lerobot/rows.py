@@ -43,7 +43,8 @@ class Rows:
     def locate(cls, root: Path, episodes: Sequence[StoredEpisode]) -> "Rows":
         """Finds them in the files that the metadata names and, where those lack rows, in all others.
 
-        Raises DatasetError where an episode has not as many rows as the metadata says.
+        An episode of which the metadata gives no length may have no rows. Raises DatasetError where one has
+        not as many as the metadata says.
         """
         found: dict[int, list[tuple[Path, np.ndarray, np.ndarray]]] = {
             episode.index: [] for episode in episodes
@@ -75,6 +76,9 @@ class Rows:
         lengths, unordered, skipping, start = [], [], [], 0
         for episode in episodes:
             pieces = found[episode.index]
+            if not pieces:
+                lengths.append(0)
+                continue
             frame_index = np.concatenate([frame for _, _, frame in pieces])
             order = np.argsort(frame_index, kind="stable")
             steps = np.diff(frame_index[order])
@@ -130,16 +134,13 @@ def _refuse_incomplete(
     root: Path, episode: StoredEpisode, pieces: list[tuple[Path, np.ndarray, np.ndarray]]
 ) -> None:
     count = sum(len(rows) for _, rows, _ in pieces)
-    if (count and count == episode.length) or (count and episode.length is None):
+    if count == episode.length or (count and episode.length is None):
         return
     if not count and episode.data is not None and not episode.data.is_file():
         raise DatasetError(f"{episode.data}: is missing; {HALF_COPIED}")
+    if episode.length is None:
+        return
     file = "the data files" if episode.data is None else episode.data.name
-    if not count and not episode.length:
-        raise DatasetError(
-            f"dataset {root}: half-written, meta/episodes lists episode {episode.index} and no data file has "
-            "a row of it; record it again"
-        )
     raise DatasetError(
         f"dataset {root}: half-written, episode {episode.index} has {episode.length} frames by "
         "meta/episodes and "

@@ -19,7 +19,8 @@ from lerobot_files import (
     png,
     write_rows,
 )
-from odd_cases import FILMS, FRAMES, TABLES, N, starts, stray_rows
+from odd_cases import FILMS, TABLES
+from odd_changes import FRAMES, N, starts, stray_rows
 from odd_refused import FILMS_REFUSED, TABLES_REFUSED
 
 from dpmacro.data.demonstrations import DatasetError, Demonstrations
@@ -42,6 +43,8 @@ TOLD = {
     "fps 0": f"info.json: fps is 0{RATE}",
     "fps as text": f'info.json: fps is "10"{RATE}',
     "an episode listed twice, with two lengths": "meta/episodes lists episode 0 twice, differently: ",
+    "metadata of an episode that has no rows": "episodes 2 are left out: they have less than two frames",
+    "metadata of an episode of one frame": "episodes 2 are left out: they have less than two frames",
     "no frame_index at a frame": "frame_index repeats in episodes 0, 1: their frames are taken in the order",
     "frame_index 0 at all frames": "frame_index repeats in episodes 0, 1: their frames are taken in the",
     "frame_index that leaves numbers out": "frame_index leaves numbers out in episodes 0, 1: the frames",
@@ -61,6 +64,28 @@ def test_odd_datasets_come_back_right(tmp_path, case):
     second = Demonstrations.load(root, episodes=[1, 0])
     assert levels(second.images).tolist() == FRAMES[LENGTHS[0] :] + FRAMES[: LENGTHS[0]]
     assert np.array_equal(second.actions[: LENGTHS[1]], loaded.actions[LENGTHS[0] :])
+
+
+def test_short_episodes_are_refused_where_they_are_asked_for(tmp_path):
+    root = TABLES["metadata of an episode of one frame"].build(tmp_path / "d")
+    with pytest.raises(DatasetError, match=r"episode 2 has 1 frame; dpmacro needs at least two frames"):
+        Demonstrations.load(root, episodes=[0, 2])
+    root = build(tmp_path / "short", lengths=(1, 1))
+    with pytest.raises(DatasetError, match=r"episode 0 has 1 frame; dpmacro needs at least two frames"):
+        Demonstrations.load(root)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"action": []}, "action names no feature; name one, or leave it out"),
+        ({"action": ["timestamp"]}, "timestamp numbers frames, so it is no action; name another feature"),
+        ({"inputs": ["state"]}, r"no input 'state'; it has observation\.images\.top, observation\.state$"),
+    ],
+)
+def test_features_that_make_no_sense_are_refused(tmp_path, options, message):
+    with pytest.raises(DatasetError, match=message):
+        Demonstrations.load(build(tmp_path / "d"), **options)
 
 
 @pytest.mark.parametrize("fps", [None, 0, "10", True, -3])
