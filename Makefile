@@ -111,14 +111,14 @@ bench-segmentation: $(PEERS) $(DATASET)/meta/info.json $(LEVELS) $(TASKS) ## com
 bench-selectors: $(INSTALLED) $(DATASET)/meta/info.json $(LEVELS) ## which criterion tells the true segmentation from other candidates (hours; QUICK=1 likewise)
 	$(BIN)/python benchmarks/bench_selectors.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
 
-# ROOT=folder of a LeRobot dataset with videos; without it both generate one in outputs.
-bench-reading: $(INSTALLED) ## how fast videos are read, beside PyAV's bare decoding (ROOT=a dataset; QUICK=1 a small one)
-	$(BIN)/python benchmarks/reading.py --threads=$(WORKERS) $(if $(ROOT),--dataset.root=$(ROOT)) $(if $(QUICK),--frames=300 --repeats=1) $(BENCH)
+# DATA=folder of a LeRobot dataset with videos; without it both generate one in outputs.
+bench-reading: $(INSTALLED) ## how fast videos are read, beside PyAV's bare decoding (DATA=a dataset; QUICK=1 a small one)
+	$(BIN)/python benchmarks/reading.py --threads=$(WORKERS) $(if $(DATA),--dataset.root=$(DATA)) $(if $(QUICK),--frames=300 --repeats=1) $(BENCH)
 
 FEW := --frames=200 --cameras=1 --size='[160,120]' --length=50 --options='--planner.rounds=5 --planner.restarts=2 --planner.macros=2'
 
-bench-files: $(INSTALLED) ## from files to labels and pictures: time by stages, and memory (ROOT=a dataset; QUICK=1 a small one)
-	$(BIN)/python benchmarks/files_to_pictures.py $(if $(ROOT),--dataset.root=$(ROOT)) $(if $(QUICK),$(FEW)) $(BENCH)
+bench-files: $(INSTALLED) ## from files to labels and pictures: time by stages, and memory (DATA=a dataset; QUICK=1 a small one)
+	$(BIN)/python benchmarks/files_to_pictures.py $(if $(DATA),--dataset.root=$(DATA)) $(if $(QUICK),$(FEW)) $(BENCH)
 
 odd-datasets: $(INSTALLED) ## what dpmacro and the installed LeRobot make of odd datasets, into docs/odd_datasets.md
 	$(BIN)/python benchmarks/odd_datasets.py --report=docs/odd_datasets.md

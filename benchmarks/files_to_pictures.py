@@ -43,7 +43,7 @@ class FilesToPicturesOptions:
 
     dataset: FilesOptions = field(default_factory=FilesOptions)
     generated: Path | None = None
-    """Folder of the generated dataset; by default one in outputs that is named by what it holds."""
+    """Folder of the generated dataset; by default one in outputs, named by what it holds."""
     frames: int = 30_000
     """Frames of the generated dataset."""
     cameras: int = 2
@@ -106,8 +106,7 @@ def generated_dataset(options: FilesToPicturesOptions) -> Path:
     """The generated dataset, made where it is not there yet."""
     width, height = options.size
     contents = Contents(options.frames, options.cameras, width, height, options.codec, options.length)
-    name = f"generated_{options.frames}_{options.cameras}_{width}x{height}_{options.codec}_{options.length}"
-    return generate(options.generated or Path("outputs") / name, contents)
+    return generate(options.generated or contents.folder, contents)
 
 
 def run_script(script: str, root: Path, more: Sequence[str]) -> Run:

@@ -67,6 +67,12 @@ class Contents:
             raise ValueError(f"codec is {self.codec!r}: choose from {', '.join(ENCODERS)}")
 
     @property
+    def folder(self) -> Path:
+        """Where it lies unless another folder is given."""
+        what = (self.frames, self.cameras, f"{self.width}x{self.height}", self.codec, self.length)
+        return Path("outputs") / "_".join(map(str, ("generated", *what)))
+
+    @property
     def lengths(self) -> list[int]:
         """Frames of every episode."""
         count = max(round(self.frames / self.length), 1)

@@ -119,6 +119,7 @@ TABLES_REFUSED = {
     "images as flat lists of numbers": _table(
         table_of(**{CAMERA: np.zeros((N, 16), np.int64)}),
         r"file-000\.parquet: observation\.images\.top holds images as list.*; dpmacro reads PNG and JPEG",
+        "neither height nor width is known",
     ),
     "images as lists, one ragged": _table(
         table_of(**{CAMERA: [[[9] * 8] * 8] * 3 + [[[9] * 8] * 7 + [[9]]] + [[[9] * 8] * 8] * 7}),

@@ -1,7 +1,7 @@
 """How fast the videos of a dataset are read, beside PyAV that decodes the same files and keeps nothing.
 
     python benchmarks/reading.py --dataset.root=<LeRobot dataset>
-    python benchmarks/reading.py --generated=outputs/generated_reading --frames=3000
+    python benchmarks/reading.py --frames=3000 --cameras=2
 
 Ours is `Demonstrations.load`: from the folder to shrunk RGB images in memory, tables included. PyAV is called
 in three ways, of which the fastest counts: file after file with its own threads, and a thread or a process
@@ -60,8 +60,8 @@ class ReadingOptions:
     """What to read, and how thoroughly to measure."""
 
     dataset: ReadOptions = field(default_factory=ReadOptions)
-    generated: Path = Path("outputs/generated_reading")
-    """Folder of the generated dataset, made where it is not there yet."""
+    generated: Path | None = None
+    """Folder of the generated dataset; by default one in outputs, named by what it holds."""
     frames: int = 3000
     """Frames of the generated dataset, a picture of every camera at each."""
     cameras: int = 2
@@ -88,9 +88,8 @@ def main(options: ReadingOptions) -> None:
     root = options.dataset.root
     if root is None:
         width, height = options.size
-        root = generate(
-            options.generated, Contents(options.frames, options.cameras, width, height, options.codec)
-        )
+        contents = Contents(options.frames, options.cameras, width, height, options.codec)
+        root = generate(options.generated or contents.folder, contents)
     files = videos(root)
     print("\n".join(header(shlex.join(["python", *sys.orig_argv[1:]]))), flush=True)
     found = rows(root, options.dataset.episodes, files, options.repeats, options.threads)
