@@ -10,7 +10,7 @@ SIMULATOR := $(VENV)/.metaworld-$(VERSION)
 BIN := $(VENV)/bin
 WORKERS ?= 2
 
-.PHONY: help venv test lint types pytest test-versions test-benchmarks demo clean-demo bench bench-segmentation bench-selectors table
+.PHONY: help venv test lint types pytest test-versions test-benchmarks demo clean-demo bench bench-segmentation bench-selectors bench-reading bench-files odd-datasets table
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -110,6 +110,18 @@ bench-segmentation: $(PEERS) $(DATASET)/meta/info.json $(LEVELS) $(TASKS) ## com
 
 bench-selectors: $(INSTALLED) $(DATASET)/meta/info.json $(LEVELS) ## which criterion tells the true segmentation from other candidates (hours; QUICK=1 likewise)
 	$(BIN)/python benchmarks/bench_selectors.py --two_flags=$(DATASET) --babyai=$(BABYAI) $(if $(QUICK),--quick=true) $(BENCH)
+
+# DATA=folder of a LeRobot dataset with videos; without it both generate one in outputs.
+bench-reading: $(INSTALLED) ## how fast videos are read, beside PyAV's bare decoding (DATA=a dataset; QUICK=1 a small one)
+	$(BIN)/python benchmarks/reading.py --threads=$(WORKERS) $(if $(DATA),--dataset.root=$(DATA)) $(if $(QUICK),--frames=300 --repeats=1) $(BENCH)
+
+FEW := --frames=200 --cameras=1 --size='[160,120]' --length=50 --options='--planner.rounds=5 --planner.restarts=2 --planner.macros=2'
+
+bench-files: $(INSTALLED) ## from files to labels and pictures: time by stages, and memory (DATA=a dataset; QUICK=1 a small one)
+	$(BIN)/python benchmarks/files_to_pictures.py $(if $(DATA),--dataset.root=$(DATA)) $(if $(QUICK),$(FEW)) $(BENCH)
+
+odd-datasets: $(INSTALLED) ## what dpmacro and the installed LeRobot make of odd datasets, into docs/odd_datasets.md
+	$(BIN)/python benchmarks/odd_datasets.py --report=docs/odd_datasets.md
 
 # A quick table is printed only: docs/results.md holds the whole one.
 table: $(INSTALLED) ## success of teacher, baseline and DPBoost, into docs/results.md (hours; QUICK=1 a coarse table in minutes)

@@ -9,10 +9,11 @@ from dpmacro.data.images import DatasetError
 from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.names import entry_names
 
-__all__ = ["Actions", "actions_of", "choose_action", "finite"]
+__all__ = ["BOOKKEEPING", "Actions", "actions_of", "choose_action", "finite"]
 
 Actions = Int64[np.ndarray, " frames"] | Float32[np.ndarray, "frames dims"]
 
+BOOKKEEPING = ("index", "frame_index", "episode_index", "timestamp", "task_index")
 LARGEST_ACTION = 2**16  # a policy holds fewer, and larger numbers are of something else
 LARGEST_FLOAT = 255  # whole numbers stored as fractions are classes up to here, counts of something beyond
 
@@ -20,9 +21,17 @@ LARGEST_FLOAT = 255  # whole numbers stored as fractions are classes up to here,
 def choose_action(store: StoredDataset, action: str | Sequence[str] | None) -> list[str]:
     """The features that make up the action.
 
-    By default `discrete_action`, else `action`, else `actions`, else all that begin with `action.`.
+    By default `discrete_action`, else `action`, else `actions`, else all that begin with `action.`. Raises
+    DatasetError where there is none, for one that does not exist and for one of BOOKKEEPING.
     """
+    if action is not None and not action:
+        raise DatasetError(f"dataset {store.root}: action names no feature; name one, or leave it out")
     names = [action] if isinstance(action, str) else list(action or [])
+    counting = [name for name in names if name in BOOKKEEPING]
+    if counting:
+        raise DatasetError(
+            f"dataset {store.root}: {counting[0]} numbers frames, so it is no action; name another feature"
+        )
     missing = [name for name in names if name not in store.features]
     if missing:
         raise DatasetError(

@@ -96,19 +96,25 @@ class FrameBuffer:
         self._stored: tuple[int, ...] = ()
         self._lock = Lock()
 
-    def put(self, place: int, image: UInt8[np.ndarray, "height width 3"]) -> None:
+    def sized(self, width: int, height: int) -> tuple[int, int]:
+        """The width and height that images of this width and height are held in."""
+        return self.transform.sized(width, height, self.name)
+
+    def put(
+        self, place: int, image: UInt8[np.ndarray, "height width 3"], stored: tuple[int, int] | None = None
+    ) -> None:
         """Hold an image at `place`; threads may call it side by side.
 
-        Raises DatasetError where its size is not that of the others, not allowed, or memory does not do.
+        `stored` is the height and width it had before it was shrunk to what `sized` says; None where it was
+        not. Raises DatasetError where its size is not that of the others, not allowed, or memory does not do.
         """
+        shape = image.shape if stored is None else (*stored, 3)
         with self._lock:
             if self._images is None:
-                self._stored, self._images = image.shape, self._room(self.transform.apply(image, self.name))
-        if image.shape != self._stored:
-            raise DatasetError(
-                f"{self.name}: frame {place} is {image.shape}, others {self._stored}; resize it"
-            )
-        self._images[place] = self.transform.apply(image, self.name)
+                self._stored, self._images = shape, self._room(self._fit(image, stored))
+        if shape != self._stored:
+            raise DatasetError(f"{self.name}: frame {place} is {shape}, others {self._stored}; resize it")
+        self._images[place] = self._fit(image, stored)
 
     @property
     def images(self) -> UInt8[np.ndarray, "frames height width 3"]:
@@ -121,6 +127,9 @@ class FrameBuffer:
         """Height and width before they were shrunk; None where they were not."""
         shape = self._stored[0], self._stored[1]
         return None if shape == self.images.shape[1:3] else shape
+
+    def _fit(self, image: np.ndarray, stored: tuple[int, int] | None) -> np.ndarray:
+        return image if stored is not None else self.transform.apply(image, self.name)
 
     def _room(self, first: np.ndarray) -> np.ndarray:
         height, width = first.shape[:2]

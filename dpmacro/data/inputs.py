@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from dpmacro.data.actions import finite
+from dpmacro.data.actions import BOOKKEEPING, finite
 from dpmacro.data.images import DatasetError, FrameBuffer, ImageTransform, refuse_too_many
 from dpmacro.data.lerobot.frames import TOLERANCE, fill, is_depth, picture
 from dpmacro.data.lerobot.layout import StoredEpisode
@@ -20,7 +20,6 @@ TASK = "task_index"
 MOST_TASKS = 10_000
 LARGEST_VECTOR = 1000  # numbers; larger ones, as clouds of points, are inputs only where they are asked for
 _NUMBERS = ("float16", "float32", "float64", "bool")
-_BOOKKEEPING = ("index", "frame_index", "episode_index", "timestamp", TASK)
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,9 @@ def choose_inputs(store: StoredDataset, inputs: Sequence[str] | None, outputs: S
     if inputs is not None:
         for name in inputs:
             if name not in store.features or not (name in cameras or _is_vector(store, name)):
-                have = ", ".join([*cameras, *(other for other in store.features if _is_vector(store, other))])
-                raise DatasetError(f"{where}: no input {name!r}; it has {have}")
+                vectors = [other for other in store.features if _is_vector(store, other)]
+                have = ", ".join(other for other in (*cameras, *vectors) if other not in outputs)
+                raise DatasetError(f"{where}: no input {name!r}; it has {have or 'none'}")
             if name in outputs:
                 raise DatasetError(
                     f"{where}: {name} is the action or the truth, so it is no input; leave it out"
@@ -78,9 +78,8 @@ def choose_inputs(store: StoredDataset, inputs: Sequence[str] | None, outputs: S
     vectors = [name for name in vectors if name not in large]
     if not cameras and not vectors:
         raise DatasetError(
-            f"{where}: has no image feature and no vector that begins with observation.; name what the "
-            "policy sees: "
-            "--dataset.inputs="
+            f"{where}: has no image feature and, beside the action, no vector that begins with observation.; "
+            "name what the policy sees: --dataset.inputs="
         )
     return Inputs(tuple(cameras), tuple(vectors), tuple(notes))
 
@@ -159,7 +158,7 @@ def task_names(store: StoredDataset, indices: Int64[np.ndarray, " frames"] | Non
 
 def _is_vector(store: StoredDataset, name: str) -> bool:
     kind = store.features.get(name, {}).get("dtype", "")
-    return name not in _BOOKKEEPING and (kind in _NUMBERS or kind.startswith(("int", "uint")))
+    return name not in BOOKKEEPING and (kind in _NUMBERS or kind.startswith(("int", "uint")))
 
 
 def _size(store: StoredDataset, name: str) -> int:

@@ -1,5 +1,6 @@
 """A LeRobot dataset -> the parts of demonstrations, checked one after another."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -33,13 +34,9 @@ def load_parts(
     fps, chosen = store.fps, store.choose(episodes)
     if task is not None:
         chosen = _of_task(store, chosen, task)
-    for episode in chosen:
-        _refuse_short(store, episode, episode.length)
+    chosen, rows, short = _long_enough(store, chosen, asked=episodes is not None)
     truth, acting = choose_truth(store, truth), choose_action(store, action)
     what = choose_inputs(store, inputs, (*acting, "action", *([truth] if truth else ())))
-    rows = store.locate(chosen)
-    for episode, length in zip(chosen, rows.lengths.tolist(), strict=True):
-        _refuse_short(store, episode, length)
     several = "task_index" in store.features and task is None
     beside = ["action"] if acting == ["discrete_action"] and "action" in store.features else []
     wanted = [
@@ -79,7 +76,15 @@ def load_parts(
         },
         "tasks": tasks,
         "episodes": tuple(episode.index for episode in chosen),
-        "notes": (*_notes(buffers, vectors, tasks, observations), *what.notes, *depths, *_disorder(rows)),
+        "notes": (
+            *_notes(buffers, vectors, tasks, observations),
+            *store.notes,
+            *short,
+            *_rate(store),
+            *what.notes,
+            *depths,
+            *_disorder(rows),
+        ),
     }
 
 
@@ -105,20 +110,51 @@ def _of_task(store: StoredDataset, episodes: list[StoredEpisode], task: str | in
     return found
 
 
-def _disorder(rows: Rows) -> list[str]:
-    if not rows.unordered:
+def _rate(store: StoredDataset) -> list[str]:
+    if store.info["fps"] == store.fps:
         return []
-    which = ", ".join(map(str, rows.unordered[:5])) + (", ..." if len(rows.unordered) > 5 else "")
-    return [f"frame_index repeats in episodes {which}: their frames are taken in the order of the rows"]
+    said = json.dumps(store.info["fps"])
+    return [f"info.json: fps is {said}; the timestamps say {store.fps:g} frames a second, which is taken"]
 
 
-def _refuse_short(store: StoredDataset, episode: StoredEpisode, length: int | None) -> None:
-    if length is not None and length < 2:
+def _disorder(rows: Rows) -> list[str]:
+    """A line for each kind of frame_index that numbers an episode's frames in another way than 0, 1, ..."""
+    told = {
+        "frame_index repeats in {}: their frames are taken in the order of the rows": rows.unordered,
+        "frame_index leaves numbers out in {}: the frames that there are follow one another": rows.skipping,
+    }
+    return [line.format(f"episodes {_listed(which)}") for line, which in told.items() if which]
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
+
+
+def _long_enough(
+    store: StoredDataset, episodes: list[StoredEpisode], asked: bool
+) -> tuple[list[StoredEpisode], Rows, list[str]]:
+    """The episodes of two frames or more, where their frames lie, and a line about those left out.
+
+    Raises DatasetError for a shorter one that was `asked` for, and where all are shorter.
+    """
+    rows = store.locate(episodes)
+    short = np.flatnonzero(rows.lengths < 2)
+    if not short.size:
+        return episodes, rows, []
+    if asked or len(short) == len(episodes):
+        length = int(rows.lengths[short[0]])
         raise DatasetError(
-            f"dataset {store.root}: episode {episode.index} has {length} "
+            f"dataset {store.root}: episode {episodes[short[0]].index} has {length} "
             f"frame{'' if length == 1 else 's'}; dpmacro "
             "needs at least two frames per episode"
         )
+    left = [episodes[place].index for place in short]
+    kept = [episode for episode in episodes if episode.index not in left]
+    return (
+        kept,
+        store.locate(kept),
+        [f"episodes {_listed(left)} are left out: they have less than two frames"],
+    )
 
 
 def _notes(

@@ -303,8 +303,10 @@ def test_the_lossless_camera_is_preferred_and_video_can_be_named(two_cameras):
 def test_images_are_shrunk_while_they_are_read(two_cameras, camera, size):
     stored = Demonstrations.load(two_cameras, camera=camera, transform=AS_FILMED if camera == VIEW else PLAIN)
     shrunk = Demonstrations.load(two_cameras, camera=camera, transform=ImageTransform(size))
-    wanted = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in stored.images]
-    assert np.array_equal(shrunk.images, wanted)
+    wanted = np.stack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in stored.images])
+    # Of a video the planes are shrunk, before colours are computed and rounded.
+    off = np.abs(shrunk.images.astype(int) - wanted.reshape(shrunk.images.shape))
+    assert off.max() <= (0 if camera == AVATAR else 4) and off.mean() < 1.5
     assert (stored.stored_shape, shrunk.stored_shape) == (None, stored.images.shape[1:3])
     assert shrunk.select([1]).stored_shape == stored.images.shape[1:3]
 
@@ -352,10 +354,6 @@ SPOILED = {
         lambda root: (root / "meta/info.json").write_text('{"codebase_version": "v3.0"}'),
         r"has no features",
     ),
-    "more frames promised": (
-        lambda root: edit_json(root / "meta/info.json", total_frames=31),
-        r"half-written, info\.json says 4 episodes and 31 frames, meta/episodes lists 4 and 30",
-    ),
     "more episodes promised": (
         lambda root: edit_json(root / "meta/info.json", total_episodes=5),
         r"half-written, info\.json says 5 episodes",
@@ -381,7 +379,7 @@ SPOILED = {
             set_column(root, "length", [12, 1, 2, 9], file=EPISODES),
             edit_json(root / "meta/info.json", total_frames=24),
         ],
-        r"episode 1 has 1 frame; dpmacro needs at least two frames per episode",
+        r"half-written, episode 1 has 1 frames by meta/episodes and 7 in file-000",
     ),
     "no action": (
         lambda root: edit_features(root, action=None, discrete_action=None),

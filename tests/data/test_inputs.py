@@ -59,7 +59,7 @@ def test_a_dataset_may_lack_cameras_or_state(tmp_path, images, state):
 
 
 def test_a_dataset_of_neither_is_refused(tmp_path):
-    with pytest.raises(DatasetError, match=r"has no image feature and no vector .*: --dataset\.inputs="):
+    with pytest.raises(DatasetError, match=r"has no image feature and, beside .*: --dataset\.inputs="):
         Demonstrations.load(build(tmp_path / "d", images=False, state=False))
 
 

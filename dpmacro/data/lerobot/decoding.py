@@ -1,4 +1,9 @@
-"""Stored pictures -> RGB arrays, on all cores: images in blocks, videos by runs from key frames."""
+"""Stored pictures -> RGB arrays, on all cores: images in blocks, videos by runs from key frames.
+
+A video's frame is stored as brightness and two differences of colour, and RGB is a linear function of these.
+Where frames are to be shrunk, the three planes are, and RGB is computed of few pixels. That takes half the
+time, and comes nearer to the exact mean than libav's own conversion, which rounds down.
+"""
 
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -10,7 +15,7 @@ from typing import Any
 import av
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8
 
 from dpmacro.data.images import DatasetError
 
@@ -27,6 +32,15 @@ __all__ = [
 ]
 
 RUN = 400  # frames that a thread decodes at a time, at least: opening the file and seeking take a few
+LEVELS = 255  # the brightest
+Put = Callable[[int, np.ndarray, tuple[int, int] | None], None]
+Sized = Callable[[int, int], tuple[int, int]]
+
+# What libav takes frames for unless it is told more, and LeRobot does not tell it: ITU-R BT.601, brightness
+# from 16 to 235 or, in formats with a j, from 0 to 255.
+OFFSETS, FULL_OFFSETS = (16, 128, 128), (0, 128, 128)
+WEIGHTS = np.array([[255 / 219, 0, 1.596027], [255 / 219, -0.391762, -0.812968], [255 / 219, 2.017232, 0]])
+FULL_WEIGHTS = np.array([[1, 0, 1.402], [1, -0.344136, -0.714136], [1, 1.772, 0]])
 DEPTH_FORMATS = ("gray9", "gray10", "gray12", "gray14", "gray16")  # of libav, with or without byte order
 
 
@@ -97,19 +111,37 @@ def in_threads(work: Callable[[Any], None], pieces: Iterable[Any]) -> None:
 
 
 def decode_image(content: Any) -> UInt8[np.ndarray, "height width 3"] | None:
-    """The RGB image of PNG or JPEG bytes; None where they are damaged."""
+    """The RGB image of PNG or JPEG bytes, or of pixels; None where they are damaged."""
+    if content is None or isinstance(content, np.ndarray):
+        return _as_rgb(content)
     encoded = np.frombuffer(content, np.uint8)
     image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
     return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def probe_image(content: Any) -> Picture | None:
-    """How an encoded image is stored; None where it is damaged."""
+    """How an encoded image, or one of pixels, is stored; None where it is damaged."""
+    if content is None or isinstance(content, np.ndarray):
+        if content is not None and content.ndim == 2 and content.size and content.max() > LEVELS:
+            return Picture(content.shape[0], content.shape[1], True)
+        rgb = _as_rgb(content)
+        return None if rgb is None else Picture(rgb.shape[0], rgb.shape[1], False)
     encoded = np.frombuffer(content, np.uint8)
     image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
     if image is None:
         return None
     return Picture(image.shape[0], image.shape[1], image.dtype != np.uint8 and image.ndim == 2)
+
+
+def _as_rgb(pixels: np.ndarray | None) -> UInt8[np.ndarray, "height width 3"] | None:
+    """Grey levels, RGB, or RGB and alpha, from 0 to LEVELS, as RGB; None for anything else."""
+    if pixels is None or not pixels.size or pixels.min() < 0 or pixels.max() > LEVELS:
+        return None
+    levels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if levels.shape[2] not in (1, 3, 4):
+        return None
+    colours = levels[..., :3].astype(np.uint8)
+    return np.repeat(colours, 3, axis=2) if levels.shape[2] == 1 else np.ascontiguousarray(colours)
 
 
 def _open_video(path: Path) -> Any:
@@ -159,15 +191,20 @@ def scan_video(path: Path) -> Film:
     return Film(path, shown, shown * unit, hang_on)
 
 
-def decode_videos(clips: Sequence[Clip], put: Callable[[int, np.ndarray], None]) -> None:
-    """Call `put` with the place and the RGB image of every frame wanted, from several threads at once.
+def decode_videos(clips: Sequence[Clip], put: Put, sized: Sized) -> None:
+    """Call `put` with every frame wanted, from several threads at once.
+
+    Args:
+        clips: the frames.
+        put: takes the place, the RGB image and, where that is shrunk already, the frame's height and width.
+        sized: the width and height wanted of a frame of some width and height.
 
     Raises DatasetError where a file lacks a frame or is damaged.
     """
-    in_threads(lambda run: _decode(run, put), [run for clip in clips for run in clip.runs()])
+    in_threads(lambda run: _decode(run, put, sized), [run for clip in clips for run in clip.runs()])
 
 
-def _decode(run: Clip, put: Callable[[int, np.ndarray], None]) -> None:
+def _decode(run: Clip, put: Put, sized: Sized) -> None:
     film = run.film
     wanted: dict[int, list[int]] = {}
     for stamp, place in zip(film.stamps[run.numbers].tolist(), run.places.tolist(), strict=True):
@@ -176,7 +213,7 @@ def _decode(run: Clip, put: Callable[[int, np.ndarray], None]) -> None:
         # Seeking by time may land on a later key frame where frames are stored in another order than shown.
         for start in (int(film.stamps[film.keys[run.numbers[0]]]), None):
             with _open_video(film.path) as container:
-                _decode_from(container, start, wanted, put)
+                _decode_from(container, start, wanted, put, sized)
             if not wanted:
                 return
     except av.FFmpegError as error:
@@ -186,7 +223,7 @@ def _decode(run: Clip, put: Callable[[int, np.ndarray], None]) -> None:
 
 
 def _decode_from(
-    container: Any, start: int | None, wanted: dict[int, list[int]], put: Callable[[int, np.ndarray], None]
+    container: Any, start: int | None, wanted: dict[int, list[int]], put: Put, sized: Sized
 ) -> None:
     """Put the wanted frames, and forget them, from the key frame at `start` on; None for the file's first."""
     stream = container.streams.video[0]
@@ -200,11 +237,38 @@ def _decode_from(
         first = False
         places = wanted.pop(frame.pts, None) if frame.pts is not None else None
         if places is not None:
-            image = frame.to_ndarray(format="rgb24")
+            size = sized(frame.width, frame.height)
+            image = _shrunk(frame, size)
+            stored = None if image is None else (frame.height, frame.width)
+            image = frame.to_ndarray(format="rgb24") if image is None else image
             for place in places:
-                put(place, image)
+                put(place, image, stored)
         if not wanted or (frame.pts is not None and frame.pts > last):
             return
+
+
+def _shrunk(frame: Any, size: tuple[int, int]) -> UInt8[np.ndarray, "height width 3"] | None:
+    """The RGB image of a frame by means over areas; None unless it is at least halved, in usual colours."""
+    to_rgb = _TO_RGB.get(frame.format.name)
+    if to_rgb is None or 2 * size[0] > frame.width or 2 * size[1] > frame.height:
+        return None
+    planes: list[np.ndarray] = [
+        np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)[:, : plane.width]
+        for plane in frame.planes
+    ]
+    if frame.width % 2 == frame.height % 2 == 0:  # a fast path of OpenCV, which leaves a quarter to the other
+        half = frame.width // 2, frame.height // 2
+        planes[0] = cv2.resize(planes[0], half, interpolation=cv2.INTER_AREA)
+    small = [cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in planes]
+    return cv2.transform(cv2.merge(small), to_rgb)
+
+
+def _affine(weights: np.ndarray, offsets: Sequence[int]) -> Float32[np.ndarray, "3 4"]:
+    return np.concatenate([weights, -weights @ np.array(offsets)[:, None]], axis=1).astype(np.float32)
+
+
+_TO_RGB = {f"yuv{kind}p": _affine(WEIGHTS, OFFSETS) for kind in ("420", "422", "444")}
+_TO_RGB |= {f"yuvj{kind}p": _affine(FULL_WEIGHTS, FULL_OFFSETS) for kind in ("420", "422", "444")}
 
 
 def _damaged(path: Path, error: av.FFmpegError) -> DatasetError:

@@ -22,7 +22,7 @@ from dpmacro.data.lerobot.decoding import (
 from dpmacro.data.lerobot.layout import StoredEpisode, Video
 from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
-from dpmacro.data.lerobot.tables import read_batches, read_table, to_cells
+from dpmacro.data.lerobot.tables import read_batches, read_table, to_cells, to_pixels
 
 __all__ = ["TOLERANCE", "fill", "is_depth", "picture"]
 
@@ -66,7 +66,7 @@ def fill(
     damaged, and what `FrameBuffer.put` raises.
     """
     if store.features[camera]["dtype"] == "video":
-        decode_videos(_clips(store, camera, episodes, rows, tolerance), buffer.put)
+        decode_videos(_clips(store, camera, episodes, rows, tolerance), buffer.put, buffer.sized)
         return
     for part in rows.parts:
         for some, table in read_batches(part.path, [camera], part.rows):
@@ -139,10 +139,15 @@ def _cells(table: pa.Table, camera: str, path: Path) -> list[Any]:
 
 
 def _content(cell: Any, root: Path, table: Path) -> Any:
-    """The bytes of an image, none where there are none; a path is of the dataset, or beside the table."""
+    """The bytes of an image, or its pixels, none where there are none.
+
+    A path is of the dataset, or beside the table.
+    """
     if isinstance(cell, str):
         files = [folder / cell for folder in (root, table.parent) if (folder / cell).is_file()]
         return files[0].read_bytes() if files else b""
+    if isinstance(cell, pa.Scalar):
+        return to_pixels(cell)
     return b"" if cell is None else cell
 
 

@@ -15,6 +15,7 @@ DATA_V3 = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_V3 = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 DATA_V2 = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 VIDEO_V2 = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
+WORDS = ("task", "__index_level_0__")  # columns of a task's words as LeRobot names them
 CHUNK = 1000  # episodes a folder in v2, where info.json does not say
 
 
@@ -45,33 +46,40 @@ class StoredEpisode:
     tasks: tuple[str, ...] = ()
 
 
-def read_episodes(root: Path, info: Mapping[str, Any], cameras: list[str]) -> list[StoredEpisode]:
-    """All episodes by their index.
+def read_episodes(
+    root: Path, info: Mapping[str, Any], cameras: list[str]
+) -> tuple[list[StoredEpisode], list[str]]:
+    """All episodes by their index, and what a user should know of how they are listed, a line each.
 
     The layout is that of the files there are, whatever version `info.json` claims. `cameras` are the features
-    stored as video. Raises DatasetError where no episode is listed, or a row says too little.
+    stored as video. An episode without a number has its place among the rows as number, which is how LeRobot
+    looks episodes up; where one is listed twice, the first row counts. Raises DatasetError where no episode
+    is listed, or a row says too little.
     """
     tables, lines = sorted((root / "meta/episodes").glob("**/*.parquet")), root / "meta/episodes.jsonl"
     if tables and not (lines.is_file() and any((root / "data").glob("*/episode_*.parquet"))):
-        found = [_of_v3(root, info, cameras, path, row) for path in tables for row in read_rows(path)]
+        of_tables = [(path, row) for path in tables for row in read_rows(path)]
+        found = [
+            _of_v3(root, info, cameras, path, {"episode_index": place} | _there(row))
+            for place, (path, row) in enumerate(of_tables)
+        ]
     elif lines.is_file():
         found = [_of_v2(root, info, cameras, lines, row) for row in read_json_lines(lines)]
     else:
         raise _no_layout(root, info)
     episodes: dict[int, StoredEpisode] = {}
-    for episode in found:
-        if episodes.setdefault(episode.index, episode) != episode:
-            raise DatasetError(
-                f"dataset {root}: meta/episodes lists episode {episode.index} twice, differently; keep "
-                "one row"
-            )
+    twice = [one.index for one in found if episodes.setdefault(one.index, one) != one]
+    notes = [f"meta/episodes lists episode {index} twice, differently: the first counts" for index in twice]
     if not episodes:
         raise DatasetError(f"dataset {root}: meta/episodes lists no episode; record it again")
-    return [episodes[index] for index in sorted(episodes)]
+    return [episodes[index] for index in sorted(episodes)], notes
 
 
 def read_tasks(root: Path) -> dict[int, str]:
-    """What there is to do, in words, by `task_index`; {} where no file says."""
+    """What there is to do, in words, by `task_index`, or by its place where it has none; {} without a file.
+
+    The words are in a column of WORDS or, where there is none of them, in the first of text.
+    """
     table, lines = root / "meta/tasks.parquet", root / "meta/tasks.jsonl"
     if table.is_file():
         rows, path = read_rows(table), table
@@ -80,12 +88,13 @@ def read_tasks(root: Path) -> dict[int, str]:
     else:
         return {}
     tasks = {}
-    for row in rows:
-        words = [value for key, value in row.items() if key != "task_index" and isinstance(value, str)]
-        index = row.get("task_index")
+    for place, row in enumerate(rows):
+        named = [row.get(key) for key in WORDS if isinstance(row.get(key), str)]
+        words = named or [value for key, value in row.items() if isinstance(value, str)]
+        index = {"task_index": place, **_there(row)}["task_index"]
         if not isinstance(index, int) or index < 0 or not words:
             raise DatasetError(f"{path}: a task is {row}; give each a task_index from 0 on and its words")
-        tasks[index] = words[0]
+        tasks[index] = str(words[0])
     return tasks
 
 
@@ -105,7 +114,7 @@ def _of_v3(
         start = float(of_video.pop("from_timestamp"))  # type: ignore[arg-type]
         file = _file(root, info, "video_path", VIDEO_V3, {"video_key": camera, **of_video})
         videos[camera] = Video(file, start)
-    return StoredEpisode(index, _length(path, index, row), data, videos, _words(row))
+    return StoredEpisode(index, _length(row), data, videos, _words(row))
 
 
 def _of_v2(
@@ -122,7 +131,7 @@ def _of_v2(
         for camera in cameras
     }
     data = _file(root, info, "data_path", DATA_V2, place)
-    return StoredEpisode(index, _length(path, index, row), data, videos, _words(row))
+    return StoredEpisode(index, _length(row), data, videos, _words(row))
 
 
 def _file(root: Path, info: Mapping[str, Any], key: str, usual: str, place: Mapping[str, Any]) -> Path:
@@ -130,14 +139,21 @@ def _file(root: Path, info: Mapping[str, Any], key: str, usual: str, place: Mapp
     template = info.get(key)
     fields = set(re.findall(r"{(\w+)", template)) if isinstance(template, str) else set()
     own = template if fields and fields <= place.keys() else usual
+    usual_path = root / usual.format(**place)
     try:
         path = root / str(own).format(**place)
     except (ValueError, IndexError) as error:
+        if usual_path.is_file():
+            return usual_path
         raise DatasetError(
             f"{root / 'meta/info.json'}: {key} is {template!r} ({error}); write {usual}"
         ) from error
-    usual_path = root / usual.format(**place)
     return usual_path if usual_path.is_file() and not path.is_file() else path
+
+
+def _there(row: Mapping[str, Any]) -> dict[str, Any]:
+    """What a row says, without what it leaves open."""
+    return {key: value for key, value in row.items() if value is not None}
 
 
 def _index(path: Path, row: Mapping[str, Any]) -> int:
@@ -147,11 +163,11 @@ def _index(path: Path, row: Mapping[str, Any]) -> int:
     return index
 
 
-def _length(path: Path, index: int, row: Mapping[str, Any]) -> int | None:
+def _length(row: Mapping[str, Any]) -> int | None:
+    """The number of frames, None where that is no number; a fraction may stand for a whole one."""
     length = row.get("length")
-    if length is not None and not (isinstance(length, int) and length >= 0):
-        raise DatasetError(f"{path}: episode {index} has length {length!r}; give its number of frames")
-    return length
+    whole = isinstance(length, int | float) and not isinstance(length, bool) and length == length // 1 >= 0
+    return int(length) if whole else None  # type: ignore[arg-type]
 
 
 def _words(row: Mapping[str, Any]) -> tuple[str, ...]:

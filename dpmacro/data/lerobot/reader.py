@@ -34,12 +34,14 @@ class StoredDataset:
         features: name -> {"dtype", "shape", "names", ...}; the type is there, the others where info.json has
             them.
         episodes: all of them, in the order of `episode_index`.
+        notes: what a user should know of where the metadata contradicts itself, a line each.
     """
 
     root: Path
     info: dict[str, Any]
     features: dict[str, dict[str, Any]]
     episodes: list[StoredEpisode]
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def open(cls, root: Path) -> "StoredDataset":
@@ -57,21 +59,35 @@ class StoredDataset:
                 "dtype and shape"
             )
         videos = [name for name, feature in named.items() if feature.get("dtype") == "video"]
-        episodes = read_episodes(root, info, videos)
-        store = cls(root, info, _typed(named, episodes), episodes)
-        store._refuse_half_written()
-        return store
+        episodes, notes = read_episodes(root, info, videos)
+        notes += _check_totals(root, info, episodes)
+        return cls(root, info, _typed(named, episodes), episodes, tuple(notes))
 
     @property
     def fps(self) -> float:
-        """Frames per second, a fraction where it is one."""
+        """Frames per second, a fraction where it is one; by the timestamps where info.json has no number."""
         fps = self.info["fps"]
-        if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < float("inf"):
+        if not isinstance(fps, bool) and isinstance(fps, int | float) and 0 < fps < float("inf"):
+            return float(fps)
+        measured = self._measured_fps
+        if measured is None:
             raise DatasetError(
                 f"{self.root / 'meta/info.json'}: fps is {json.dumps(fps)}; write how many frames a "
                 "second has"
             )
-        return float(fps)
+        return measured
+
+    @cached_property
+    def _measured_fps(self) -> float | None:
+        """One over the usual step between timestamps of the first episode of two frames or more."""
+        if "timestamp" not in self.features:
+            return None
+        for episode in self.episodes:
+            if episode.length is None or episode.length > 1:
+                steps = np.diff(self.columns(["timestamp"], [episode])["timestamp"].reshape(-1))
+                step = float(np.median(steps)) if steps.size and steps.dtype.kind == "f" else 0.0
+                return round(1 / step, 3) if 0 < step < float("inf") else None
+        return None
 
     @cached_property
     def tasks(self) -> dict[int, str]:
@@ -153,22 +169,29 @@ class StoredDataset:
                 )
         return {name: np.concatenate(of_parts)[back] for name, of_parts in pieces.items()}
 
-    def _refuse_half_written(self) -> None:
-        lengths = [episode.length for episode in self.episodes]
-        frames = sum(length or 0 for length in lengths)
-        promised = {key: self.info.get(key) for key in ("total_episodes", "total_frames")}
-        there = {"total_episodes": len(lengths), "total_frames": np.inf if None in lengths else frames}
-        if any(isinstance(value, int) and value > there[key] for key, value in promised.items()):
-            raise DatasetError(
-                f"dataset {self.root}: half-written, info.json says {promised['total_episodes']} "
-                "episodes and "
-                f"{promised['total_frames']} frames, meta/episodes lists {len(lengths)} and {frames}; "
-                "record it again"
-            )
-
     def _recorded(self, key: str, default: Any) -> Any:
         path = self.root / WORLD_FILE
         return read_json(path).get(key, default) if path.exists() else default
+
+
+def _check_totals(root: Path, info: dict[str, Any], episodes: list[StoredEpisode]) -> list[str]:
+    """A line where info.json counts more frames than there are; DatasetError where it counts more episodes.
+
+    Files are missing then. LeRobot looks for them on the network, where it reads on without frames.
+    """
+    lengths = [episode.length for episode in episodes]
+    frames = sum(length or 0 for length in lengths)
+    promised = {key: info.get(key) for key in ("total_episodes", "total_frames")}
+    counts = (
+        f"info.json says {promised['total_episodes']} episodes and {promised['total_frames']} frames, "
+        f"meta/episodes lists {len(lengths)} and {frames}"
+    )
+    if isinstance(promised["total_episodes"], int) and promised["total_episodes"] > len(lengths):
+        raise DatasetError(
+            f"dataset {root}: half-written, {counts}; record or copy it again, or correct total_episodes"
+        )
+    more = isinstance(promised["total_frames"], int) and promised["total_frames"] > frames
+    return [f"{counts}: those are read"] if more and None not in lengths else []
 
 
 def _typed(named: dict[str, dict[str, Any]], episodes: list[StoredEpisode]) -> dict[str, dict[str, Any]]:

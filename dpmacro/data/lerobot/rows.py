@@ -31,17 +31,20 @@ class Rows:
         lengths: frames of each episode.
         parts: where they lie, a file each.
         unordered: indices of the episodes whose frame_index repeats, so that rows are in the files' order.
+        skipping: indices of the episodes whose frame_index leaves numbers out.
     """
 
     lengths: Int64[np.ndarray, " episodes"]
     parts: tuple[Part, ...]
     unordered: tuple[int, ...] = ()
+    skipping: tuple[int, ...] = ()
 
     @classmethod
     def locate(cls, root: Path, episodes: Sequence[StoredEpisode]) -> "Rows":
         """Finds them in the files that the metadata names and, where those lack rows, in all others.
 
-        Raises DatasetError where an episode has not as many rows as the metadata says.
+        An episode of which the metadata gives no length may have no rows. Raises DatasetError where one has
+        not as many as the metadata says.
         """
         found: dict[int, list[tuple[Path, np.ndarray, np.ndarray]]] = {
             episode.index: [] for episode in episodes
@@ -70,14 +73,20 @@ class Rows:
         found: dict[int, list[tuple[Path, np.ndarray, np.ndarray]]],
     ) -> "Rows":
         parts: dict[Path, list[tuple[np.ndarray, np.ndarray]]] = {}
-        lengths, unordered, start = [], [], 0
+        lengths, unordered, skipping, start = [], [], [], 0
         for episode in episodes:
             pieces = found[episode.index]
+            if not pieces:
+                lengths.append(0)
+                continue
             frame_index = np.concatenate([frame for _, _, frame in pieces])
             order = np.argsort(frame_index, kind="stable")
-            if (np.diff(frame_index[order]) == 0).any():  # it numbers nothing
+            steps = np.diff(frame_index[order])
+            if (steps == 0).any():  # it numbers nothing
                 order = np.arange(len(order))
                 unordered.append(episode.index)
+            elif (steps > 1).any():
+                skipping.append(episode.index)
             places = np.empty(len(order), np.int64)
             places[order] = start + np.arange(len(order))
             first = 0
@@ -90,19 +99,23 @@ class Rows:
             Part(path, *(np.concatenate(side) for side in zip(*pieces, strict=True)))
             for path, pieces in parts.items()
         )
-        return cls(np.array(lengths, np.int64), tuple(joined), tuple(unordered))
+        return cls(np.array(lengths, np.int64), tuple(joined), tuple(unordered), tuple(skipping))
 
 
 def _scan(
     path: Path, indices: Iterable[int], found: dict[int, list[tuple[Path, np.ndarray, np.ndarray]]]
 ) -> None:
-    """Add the rows of the episodes in a file, with their frame_index, or row number where there is none."""
+    """Add the rows of the episodes in a file, with their frame_index, or 0 where it misses a value.
+
+    Where there is no frame_index, rows are numbered as they come.
+    """
     names = ["episode_index"] + (["frame_index"] if "frame_index" in column_names(path) else [])
     table = read_table(path, names)
     numbers = np.arange(len(table))
-    columns = {name: to_numpy(table[name], f"{path}: {name}", numbers).reshape(-1) for name in names}
+    whole = [name for name in names if name == "episode_index" or not table[name].null_count]
+    columns = {name: to_numpy(table[name], f"{path}: {name}", numbers).reshape(-1) for name in whole}
     order = np.argsort(columns["episode_index"], kind="stable")
-    frame = columns.get("frame_index", numbers)
+    frame = columns.get("frame_index", numbers if names == whole else np.zeros_like(numbers))
     for index in indices:
         first, last = (
             np.searchsorted(columns["episode_index"], index, side, sorter=order) for side in ("left", "right")
@@ -121,10 +134,12 @@ def _refuse_incomplete(
     root: Path, episode: StoredEpisode, pieces: list[tuple[Path, np.ndarray, np.ndarray]]
 ) -> None:
     count = sum(len(rows) for _, rows, _ in pieces)
-    if (count and count == episode.length) or (count and episode.length is None):
+    if count == episode.length or (count and episode.length is None):
         return
     if not count and episode.data is not None and not episode.data.is_file():
         raise DatasetError(f"{episode.data}: is missing; {HALF_COPIED}")
+    if episode.length is None:
+        return
     file = "the data files" if episode.data is None else episode.data.name
     raise DatasetError(
         f"dataset {root}: half-written, episode {episode.index} has {episode.length} frames by "

@@ -22,6 +22,7 @@ __all__ = [
     "read_table",
     "to_cells",
     "to_numpy",
+    "to_pixels",
 ]
 
 BATCH = 512  # rows of images that are held encoded, where row groups are not larger
@@ -124,8 +125,8 @@ def to_numpy(column: pa.ChunkedArray, where: str, frames: Int64[np.ndarray, " ro
     return values.to_numpy().reshape(rows, -1) if nested else values.to_numpy()
 
 
-def to_cells(column: pa.ChunkedArray) -> list[pa.Buffer | str | None]:
-    """The images of a column: what is encoded, the path of its file, or None where there is neither.
+def to_cells(column: pa.ChunkedArray) -> list[pa.Buffer | pa.Scalar | str | None]:
+    """The images of a column: what is encoded, lists of pixels, the path of a file, or None without any.
 
     Views into the table: copies would be thousands of small objects whose memory is never given back.
     """
@@ -141,7 +142,30 @@ def to_cells(column: pa.ChunkedArray) -> list[pa.Buffer | str | None]:
         return [_cell(content, None) for content in values]
     if pa.types.is_string(kind) or pa.types.is_large_string(kind):
         return [_cell(None, path) for path in values]
+    if _depth(kind) in (2, 3) and pa.types.is_integer(_innermost(kind)):
+        return [cell if cell.is_valid else None for cell in values]
     raise DatasetError(f"holds images as {kind}; dpmacro reads PNG and JPEG files, convert it with LeRobot")
+
+
+def to_pixels(cell: pa.Scalar) -> np.ndarray | None:
+    """An image stored as lists of whole numbers, [height, width] or with colours; None where it is ragged."""
+    values, shape = cell.values, [len(cell.values)]
+    while any(is_list(values.type) for is_list in _LISTS):
+        sizes = pc.list_value_length(values).to_numpy(zero_copy_only=False)
+        if not len(sizes) or (sizes != sizes[0]).any():
+            return None
+        values = pc.list_flatten(values)
+        shape.append(int(sizes[0]))
+    return None if values.null_count else values.to_numpy(zero_copy_only=False).reshape(shape)
+
+
+def _depth(kind: pa.DataType) -> int:
+    """How many lists lie within one another."""
+    return 1 + _depth(kind.value_type) if any(is_list(kind) for is_list in _LISTS) else 0
+
+
+def _innermost(kind: pa.DataType) -> pa.DataType:
+    return _innermost(kind.value_type) if _depth(kind) else kind
 
 
 def _cell(content: Any, path: Any) -> pa.Buffer | str | None:

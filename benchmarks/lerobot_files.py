@@ -1,14 +1,38 @@
 """The smallest LeRobot datasets, v3 or v2, written without LeRobot: every part of them can be odd."""
 
 import json
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+
+__all__ = [
+    "CAMERA",
+    "DATA",
+    "EPISODES",
+    "LENGTHS",
+    "NUMBERS",
+    "VIDEO",
+    "as_v2",
+    "build",
+    "edit_feature",
+    "edit_info",
+    "edit_rows",
+    "edit_table",
+    "film",
+    "grey",
+    "levels",
+    "png",
+    "vector",
+    "write_rows",
+    "write_table",
+]
 
 CAMERA = "observation.images.top"
 DATA = "data/chunk-000/file-000.parquet"
@@ -22,26 +46,37 @@ NUMBERS = {
 }
 
 
-def grey(number):
+def grey(number: Any) -> Any:
     """The level of the image of a frame, by its number in the dataset."""
     return 8 + 20 * number % 240
 
 
-def levels(images):
+def levels(images: Any) -> np.ndarray:
     """The numbers of the frames that images show; they are flat, and video keeps the level roughly."""
     means = np.asarray(images).reshape(len(images), -1).mean(axis=1)
     return np.abs(means[:, None] - grey(np.arange(12))).argmin(axis=1)
 
 
-def png(level, dtype=np.uint8, shape=(HEIGHT, WIDTH, 3)):
+def png(level: int, dtype: Any = np.uint8, shape: tuple[int, ...] = (HEIGHT, WIDTH, 3)) -> bytes:
+    """The bytes of a PNG file, all of one level."""
     return cv2.imencode(".png", np.full(shape, level, dtype))[1].tobytes()
 
 
-def vector(size, dtype="float32", names=None):
+def vector(size: int, dtype: str = "float32", names: Any = None) -> dict[str, Any]:
+    """What info.json says of a feature of `size` numbers."""
     return {"dtype": dtype, "shape": [size], "names": names}
 
 
-def build(root, columns=None, features=None, video=None, lengths=LENGTHS, fps=10, state=True, images=True):
+def build(
+    root: str | Path,
+    columns: Mapping[str, Any] | None = None,
+    features: Mapping[str, Any] | None = None,
+    video: Mapping[str, Any] | None = None,
+    lengths: Sequence[int] = LENGTHS,
+    fps: float = 10,
+    state: bool = True,
+    images: bool = True,
+) -> Path:
     """A dataset of a camera, a state of two numbers and actions of three.
 
     Args:
@@ -57,7 +92,7 @@ def build(root, columns=None, features=None, video=None, lengths=LENGTHS, fps=10
     root, n = Path(root), sum(lengths)
     frame = np.concatenate([np.arange(length) for length in lengths])
     rng = np.random.default_rng(0)
-    table = {
+    table: dict[str, Any] = {
         "episode_index": np.repeat(np.arange(len(lengths)), lengths),
         "frame_index": frame,
         "index": np.arange(n),
@@ -65,7 +100,7 @@ def build(root, columns=None, features=None, video=None, lengths=LENGTHS, fps=10
         "task_index": np.zeros(n, np.int64),
         "action": rng.normal(size=(n, 3)).astype(np.float32),
     }
-    named = {**NUMBERS, "timestamp": vector(1), "action": vector(3, names=["x", "y", "z"])}
+    named: dict[str, Any] = {**NUMBERS, "timestamp": vector(1), "action": vector(3, names=["x", "y", "z"])}
     if state:
         table["observation.state"] = rng.normal(size=(n, 2)).astype(np.float32)
         named["observation.state"] = vector(2, names={"motors": ["shoulder", "elbow"]})
@@ -115,7 +150,8 @@ def build(root, columns=None, features=None, video=None, lengths=LENGTHS, fps=10
     return root
 
 
-def write_table(path, columns):
+def write_table(path: Path, columns: Mapping[str, Any]) -> None:
+    """A parquet file of the columns; rows of an array are lists in it, and None is no column."""
     path.parent.mkdir(parents=True, exist_ok=True)
     arrays = {
         name: values
@@ -127,7 +163,7 @@ def write_table(path, columns):
     pq.write_table(pa.table(arrays), path)
 
 
-def _kind(values):
+def _kind(values: Any) -> Any:
     if not isinstance(values, np.ndarray) or values.ndim < 2:
         return None
     kind = pa.from_numpy_dtype(values.dtype)
@@ -136,19 +172,20 @@ def _kind(values):
     return kind
 
 
-def write_rows(path, rows):
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """A parquet file of the rows."""
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(pa.Table.from_pylist(rows), path)
 
 
-def edit_rows(root, change, path=EPISODES):
+def edit_rows(root: Path, change: Callable[[list[dict[str, Any]]], Any], path: str = EPISODES) -> None:
     """Rewrite the rows of a parquet file: `change` edits the list of them."""
     rows = pq.read_table(root / path).to_pylist()
     change(rows)
     write_rows(root / path, rows)
 
 
-def edit_table(root, path=DATA, **columns):
+def edit_table(root: Path, path: str = DATA, **columns: Any) -> None:
     """Replace columns of a parquet file, or add them; None drops one."""
     table = pq.read_table(root / path)
     write_table(
@@ -156,24 +193,35 @@ def edit_table(root, path=DATA, **columns):
     )
 
 
-def edit_info(root, **changes):
+def edit_info(root: Path, **changes: Any) -> None:
+    """Change what info.json says."""
     path = root / "meta/info.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
 
 
-def edit_feature(root, name, **changes):
-    """Change what info.json says of a feature; None as the name of a key drops it."""
+def edit_feature(root: Path, name: str, **changes: Any) -> None:
+    """Change what info.json says of a feature, or add one; "drop" as the value of a key drops it."""
     features = json.loads((root / "meta/info.json").read_text())["features"]
-    features[name] = {k: v for k, v in (features[name] | changes).items() if v != "drop"}
+    features[name] = {k: v for k, v in (features.get(name, {}) | changes).items() if v != "drop"}
     edit_info(root, features=features)
 
 
-def film(path, count, fps, codec="libx264", pixels="yuv420p", first=0, step=1, shown=None, options=None):
+def film(
+    path: Path,
+    count: int,
+    fps: float,
+    codec: str = "libx264",
+    pixels: str = "yuv420p",
+    first: int = 0,
+    step: int = 1,
+    shown: Sequence[int] | None = None,
+    options: dict[str, str] | None = None,
+) -> None:
     """A video whose frame number k shows `grey(shown[k])`; `first` frames late, at `step` times the rate."""
     path.parent.mkdir(parents=True, exist_ok=True)
     rate = Fraction(fps * step).limit_denominator(100_000)
     with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=rate, options=options or {})
+        stream: Any = container.add_stream(codec, rate=rate, options=options or {})
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, pixels
         stream.time_base = 1 / rate
         for number in range(count * step):
@@ -190,7 +238,7 @@ def film(path, count, fps, codec="libx264", pixels="yuv420p", first=0, step=1, s
         container.mux(stream.encode(None))
 
 
-def as_v2(root, version="v2.1"):
+def as_v2(root: Path, version: str = "v2.1") -> Path:
     """Rewrite a dataset of `build` in LeRobot's older layout: an episode a file, metadata in JSON lines."""
     table, rows = pq.read_table(root / DATA), pq.read_table(root / EPISODES).to_pylist()
     (root / DATA).unlink()
