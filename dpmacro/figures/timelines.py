@@ -150,9 +150,8 @@ def timelines(
     axis.tick_params(axis="y", labelleft=True)
     axis.yaxis.set_major_locator(MaxNLocator(25, integer=True))
     if numbers is not None:
-        axis.yaxis.set_major_formatter(
-            FuncFormatter(lambda row, _: str(numbers[round(row)]) if 0 <= row < len(numbers) else "")
-        )
+        of_row = {row: str(number) for row, number in enumerate(numbers)}
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda row, _: of_row.get(round(row), "")))
     axis.set_ylabel("demonstration")
     _count_frames(axis, int(lengths.max()))
     legend(figure, colours, names, confidence is not None)

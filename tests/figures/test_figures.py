@@ -287,6 +287,15 @@ def test_timelines_draw_every_demonstration_at_its_length():
     assert {200 * int(width) // widths.max() // 5 * 5 for width in widths if width > 50} == {100, 200}
 
 
+@pytest.mark.parametrize("count", [1, 2, 30])
+def test_rows_are_named_by_the_numbers_of_their_demonstrations(count):
+    numbers = [100 + row for row in range(count)]
+    figure = timelines(np.zeros(50 * count, np.int64), np.full(count, 50), numbers=numbers)
+    to_image(figure)
+    named = {label.get_text() for label in figure.axes[0].get_yticklabels()} - {""}
+    assert named and named <= {str(number) for number in numbers}
+
+
 def test_curves_draw_every_line():
     image = to_image(curves({"loss": {"baseline": [3.0, 2.0, 1.5], "DPBoost": [3.0, 1.0, 0.2]}}))
     assert all(coloured(image, macro_colour(line)).sum() > 200 for line in (0, 1))
