@@ -15,7 +15,7 @@ from typing import Any
 from dpmacro.policy.config import PolicyConfig, parsed_config
 from dpmacro.utils.files import replacing
 
-__all__ = ["CONFIG_NAME", "TYPE", "features_of", "read_config", "write_config", "write_json"]
+__all__ = ["ACTION", "CONFIG_NAME", "TYPE", "features_of", "read_config", "write_config", "write_json"]
 
 CONFIG_NAME = "config.json"
 TYPE = "dpmacro"  # by which LeRobot finds its classes for a policy

@@ -26,7 +26,7 @@ from dpmacro.policy.planner import MacroPlanner, PolicyState
 from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 from dpmacro.utils.files import replacing
 
-__all__ = ["MacroPolicy", "PolicyState"]
+__all__ = ["WEIGHTS_NAME", "MacroPolicy", "PolicyState"]
 
 WEIGHTS_NAME = "model.safetensors"
 
