@@ -12,12 +12,13 @@ from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
 from dpmacro.policy.files import ACTION
+from dpmacro.worlds import recording_of
 from dpmacro.worlds.two_flags.env import ACTIONS, PIXELS, VIEW, TwoFlagsConfig, TwoFlagsEnv
-from dpmacro.worlds.two_flags.recording import RECORDING
 
 __all__ = ["GYM_ID", "LeRobotTwoFlags", "TwoFlagsEnvConfig"]
 
 GYM_ID = "dpmacro/TwoFlags-v0"
+TASK = recording_of("TwoFlags-v0").task
 FPS: Any = TwoFlagsEnv.metadata["render_fps"]
 CAMERA = "avatar"  # as recorded demonstrations name it
 NEW_ROLLOUT = "lerobot_new_rollout"  # an option that LeRobot 0.6 gives to every reset
@@ -36,7 +37,7 @@ class LeRobotTwoFlags(TwoFlagsEnv):
     step, and so does the `final_info` that LeRobot counts successes by. Options are those of TwoFlags-v0.
     """
 
-    task = task_description = RECORDING.task
+    task = task_description = TASK
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         super().__init__(render_mode, **options)
@@ -91,7 +92,7 @@ def make_two_flags(options: Mapping[str, Any]) -> gym.Env:
 class TwoFlagsEnvConfig(EnvConfig):
     """Options of `--env.type=two_flags`: those of TwoFlags-v0, with its defaults."""
 
-    task: str | None = RECORDING.task
+    task: str | None = TASK
     fps: int = FPS
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
