@@ -42,7 +42,7 @@ class LeRobotTwoFlags(TwoFlagsEnv):
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         super().__init__(render_mode, **options)
         self._max_episode_steps = self.config.max_steps
-        self.action_space = gym.spaces.Box(-np.inf, np.inf, (len(ACTIONS),), np.float32)
+        self.action_space = gym.spaces.Box(0.0, 1.0, (len(ACTIONS),), np.float32)
         pixels = gym.spaces.Dict({CAMERA: self.observation_space["pixels"]})
         self.observation_space = gym.spaces.Dict({"pixels": pixels})
         self._shown = np.zeros((PIXELS[1], PIXELS[0], 3), np.uint8)
