@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from lerobot.scripts.lerobot_eval import eval_main
 
-from dpmacro.evaluation.rollouts import PlannerSource, run_episodes
 from tests.policy.lerobot.walking import WORLD, walking_policy
 
+REPOSITORY = Path(__file__).parents[3]
 SEED, EPISODES = 60, 10
 
 
@@ -42,23 +42,25 @@ def results(output):
     return info["overall"], task["metrics"]
 
 
-def test_successes_are_those_of_eval(tmp_path):
-    """As a command, of which LeRobot discovers the policy and the world by one option."""
-    walking_policy().save(tmp_path / "policy")
-    command = Path(sys.executable).with_name("lerobot-eval")
-    run = [sys.executable, command, *options(tmp_path / "policy", tmp_path / "out", WORLD)]
+def command(*words):
     quiet = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(run, capture_output=True, text=True, timeout=300, check=False, env=quiet)
-    assert done.returncode == 0, done.stderr[-2000:]
-    overall, metrics = results(tmp_path / "out")
-    seeds = range(SEED, SEED + EPISODES)
-    episodes = run_episodes(
-        PlannerSource("policy", tmp_path / "policy"), {"id": "TwoFlags-v0", **WORLD}, seeds
+    done = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, timeout=300, check=False, env=quiet
     )
-    assert metrics["successes"] == [episode.success for episode in episodes]
-    assert metrics["sum_rewards"] == [episode.reward for episode in episodes]
-    assert overall["pc_success"] == pytest.approx(100 * sum(metrics["successes"]) / EPISODES)
-    assert 0 < sum(metrics["successes"]) < EPISODES and len(set(metrics["sum_rewards"])) == 3
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_successes_are_those_of_eval(tmp_path):
+    """Both as commands; LeRobot discovers the policy and the world by one option."""
+    policy = tmp_path / "policy"
+    walking_policy().save(policy)
+    command(Path(sys.executable).with_name("lerobot-eval"), *options(policy, tmp_path / "theirs", WORLD))
+    given = [f"--policy.path={policy}", f"--episodes={EPISODES}", f"--seed={SEED}"]
+    command(REPOSITORY / "eval.py", *given, f"--output_dir={tmp_path / 'ours'}")
+    (overall, theirs), (_, ours) = results(tmp_path / "theirs"), results(tmp_path / "ours")
+    assert theirs["successes"] == ours["successes"] and theirs["sum_rewards"] == ours["sum_rewards"]
+    assert overall["pc_success"] == pytest.approx(100 * sum(ours["successes"]) / EPISODES)
+    assert 0 < sum(ours["successes"]) < EPISODES and len(set(ours["sum_rewards"])) == 3
 
 
 def test_a_policy_that_cannot_succeed_scores_nothing(tmp_path, monkeypatch):

@@ -8,7 +8,8 @@ import pytest
 import torch
 from lerobot.configs.types import FeatureType, PolicyFeature
 
-from dpmacro.policy.config import InputConfig
+from dpmacro.policy.config import InputConfig, PolicyConfig
+from dpmacro.policy.lerobot.inputs import inputs_of
 from dpmacro.policy.recovery import Stretches
 from tests.policy.lerobot.conftest import TASKS, as_lerobot
 from tests.policy.test_policy import DEVICES, KEY, SHAPE, random_policy
@@ -18,11 +19,10 @@ STEPS = 30
 
 
 def orders(rows, frames):
-    """For every row the frames that its environment shows, some of them again and again."""
+    """For every row the frames that its environment shows: the first shows one alone, others ever more."""
     generator = torch.Generator().manual_seed(0)
-    return torch.stack(
-        [torch.randint(frames // 5 * (row + 1), (STEPS,), generator=generator) for row in range(rows)]
-    )
+    shown = [max(1, frames // 5 * row) for row in range(rows)]
+    return torch.stack([torch.randint(many, (STEPS,), generator=generator) for many in shown])
 
 
 def with_tasks(policy):
@@ -47,7 +47,8 @@ def test_rows_take_the_classes_that_planners_take(loaded, starts, recovery):
     policy, images = random_policy(switches=((0, 1), (1, 2), (2, 0)), starts=starts)
     actions = torch.randint(3, (60,), generator=torch.Generator().manual_seed(1))
     stretches = Stretches.of(torch.arange(3).repeat_interleave(20), actions, torch.tensor([60]))
-    policy = replace(policy, config=replace(policy.config, recovery=recovery), stretches=stretches)
+    config = replace(policy.config, recovery=recovery, thresholds=(0.0,) * 3, cues=((0, 1), (1, 2), (0, 2)))
+    policy = replace(policy, config=config, stretches=stretches)
     found, order, shown = loaded(policy), orders(4, len(images)), {KEY: images}
     for _ in range(2):  # episodes
         found.reset()
@@ -97,6 +98,14 @@ def test_images_are_shrunk_as_the_demonstrations_were(loaded):
     assert found.config.input_features[KEY].shape == (3, 36, 32)
     taken = [int(found.select_action(as_lerobot({KEY: large}, [n])).argmax()) for n in range(20)]
     assert taken == planned(policy, {KEY: torch.from_numpy(np.stack(shrunk))}, torch.arange(20))[0].tolist()
+
+
+def test_floats_become_the_nearest_bytes():
+    bytes_ = torch.arange(256).to(torch.uint8).repeat(1, 3, 2, 1)
+    config = PolicyConfig("dpboost", 1, (0,), {KEY: InputConfig((2, 256, 3))}, {}, ("a",), 1)
+    for off in (0.0, -0.3, 0.3):
+        found = inputs_of({KEY: (bytes_ + off) / 255}, config, torch.device("cpu"))
+        assert torch.equal(found[KEY], bytes_.permute(0, 2, 3, 1))
 
 
 def test_bytes_do_as_well_as_floats(loaded):
