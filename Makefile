@@ -10,7 +10,8 @@ SIMULATOR := $(VENV)/.metaworld-$(VERSION)
 BIN := $(VENV)/bin
 WORKERS ?= 2
 
-.PHONY: help venv test lint types pytest test-versions test-benchmarks demo clean-demo bench bench-segmentation bench-selectors bench-reading bench-files odd-datasets table
+.PHONY: help venv test lint types pytest test-versions test-benchmarks demo clean-demo bench bench-segmentation \
+        bench-selectors bench-reading bench-files odd-datasets table lerobot-metaworld
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -46,7 +47,7 @@ pytest: $(INSTALLED)
 	$(TESTS) $(SHAPES) -m 'not benchmark'
 
 # What another LeRobot or Python may break: datasets read and written, options, scripts, worlds, a training.
-VERSIONS := tests/annotation/exports tests/data tests/scripts tests/worlds tests/utils/test_cli.py tests/test_layout.py tests/training/test_train.py
+VERSIONS := tests/annotation/exports tests/data tests/scripts tests/worlds tests/policy/lerobot tests/utils/test_cli.py tests/test_layout.py tests/training/test_train.py
 ONE_TRAINING := 'not test_train.py or mistake or spoiled or folder_holds or tensorboard or in_a_run or process_itself'
 
 test-versions: $(INSTALLED) ## the tests that depend on the versions of Python and LeRobot
@@ -132,6 +133,9 @@ $(BABYAI)/%/meta/info.json: | $(INSTALLED)
 
 $(METAWORLD)/%/meta/info.json: | $(SIMULATOR)
 	$(BIN)/python datasets/record_metaworld.py --root=$(METAWORLD)/$* --task=$* --episodes=50 --noise=0.1 --seed=0
+
+lerobot-metaworld: $(SIMULATOR) ## a policy in LeRobot's own Meta-World, by stock lerobot-eval (half an hour; BENCH=--task=... for another task)
+	$(BIN)/python benchmarks/lerobot_metaworld.py $(BENCH)
 
 $(SIMULATOR): $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[metaworld]'

@@ -173,7 +173,8 @@ def fingerprint(training: Path) -> str | None:
     if read_stamp(training) is None:
         return None
     config = json.loads((policy / "config.json").read_text())
-    told = {name: value for name, value in config.items() if name not in NO_SAY_IN_RUNS}
+    planner = config.get("planner", config)  # policies of earlier versions hold nothing else
+    told = {name: value for name, value in planner.items() if name not in NO_SAY_IN_RUNS}
     return hashlib.sha256(
         json.dumps(told, sort_keys=True).encode() + (policy / "model.safetensors").read_bytes()
     ).hexdigest()

@@ -1,17 +1,16 @@
-"""What a policy is, beside its numbers: its config.json."""
+"""What a policy is, beside its numbers."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
 from dpmacro.boosting.losses.vectors import LOSSES
 from dpmacro.data.images import ImageTransform
 from dpmacro.data.vectors import ActionTransform
 
-__all__ = ["CLASSES", "InputConfig", "PolicyConfig", "read_config"]
+__all__ = ["CLASSES", "InputConfig", "PolicyConfig", "parsed_config"]
 
 CLASSES = "exponential"  # the loss of classes
 
@@ -59,7 +58,7 @@ class PolicyConfig:
         """The inputs that are images."""
         return tuple(key for key, one in self.inputs.items() if one.is_camera)
 
-    @property
+    @cached_property
     def image_transform(self) -> ImageTransform:
         """What is done to images: only those of the demonstrations' stored sizes, shrunk as they were."""
         shapes = {key: (self.inputs[key].shape, self.inputs[key].stored_shape) for key in self.cameras}
@@ -72,7 +71,7 @@ class PolicyConfig:
         """Whether actions are vectors rather than classes."""
         return self.action_transform is not None
 
-    @property
+    @cached_property
     def actions(self) -> ActionTransform | None:
         """From scores to vectors; None for classes."""
         return (
@@ -112,10 +111,12 @@ class PolicyConfig:
                 raise ValueError(f"{name} of the policy cannot be: {self}")
 
 
-def read_config(path: Path) -> PolicyConfig:
-    """The config that a policy was saved with. Raises ValueError naming the file where it is none."""
+def parsed_config(values: Mapping[str, Any]) -> PolicyConfig:
+    """The config of these values, those of `dataclasses.asdict` after JSON made lists of the tuples.
+
+    Raises ValueError where they make no config.
+    """
     try:
-        values = json.loads(path.read_text())
         inputs = {
             key: InputConfig(tuple(one["shape"]), one["stored_shape"] and tuple(one["stored_shape"]))
             for key, one in values["inputs"].items()
@@ -130,8 +131,5 @@ def read_config(path: Path) -> PolicyConfig:
                 **{name: tuple(tuple(own) for own in values[name]) for name in nested if name in values},
             }
         )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f"{path} is no policy of dpmacro, or of an earlier version ({error}): give a folder that "
-            "train.py wrote, or train it again"
-        ) from error
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{type(error).__name__}: {error}") from error

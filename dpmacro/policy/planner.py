@@ -15,7 +15,7 @@ from dpmacro.features.history import History
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.observation import observed
 
-__all__ = ["Decides", "MacroPlanner", "PolicyState"]
+__all__ = ["Decides", "MacroPlanner", "PolicyState", "looked_at"]
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,17 @@ class MacroPlanner:
     def _decided(self, shown: Observation) -> Float[Tensor, "1 outputs"]:
         first = not self._state.history.past
         scores, self._state = self.policy.decide(shown, self._state)
-        lags = sorted(self._state.seen)[: 1 if first else None]
-        parts = [self._state.seen[lag][key] for lag in lags for key in sorted(self._state.seen[lag])]
-        self._seen = b"".join(part.cpu().numpy().tobytes() for part in parts)
+        (self._seen,) = looked_at(self._state, first)
         return scores
+
+
+def looked_at(state: PolicyState, first: bool) -> list[bytes]:
+    """For every row, what its last scores were computed from; equal bytes are equal frames.
+
+    Args:
+        state: after the policy decided.
+        first: whether it was a run's first frame, before which there is none.
+    """
+    lags = sorted(state.seen)[: 1 if first else None]
+    parts = [state.seen[lag][key].cpu().numpy() for lag in lags for key in sorted(state.seen[lag])]
+    return [b"".join(part[row].tobytes() for part in parts) for row in range(len(state.macro))]

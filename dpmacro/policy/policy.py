@@ -1,7 +1,6 @@
 """MacroPolicy: strong classifiers and switch functions that turn images into actions; saved and read back."""
 
-import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -21,14 +20,14 @@ from dpmacro.features.base import Encoder, Observation, Seen
 from dpmacro.features.history import History
 from dpmacro.features.kinds import encoder_from
 from dpmacro.features.quantising import Quantiser
-from dpmacro.policy.config import PolicyConfig, read_config
+from dpmacro.policy.config import PolicyConfig
+from dpmacro.policy.files import CONFIG_NAME, read_config, write_config
 from dpmacro.policy.planner import MacroPlanner, PolicyState
 from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 from dpmacro.utils.files import replacing
 
-__all__ = ["MacroPolicy", "PolicyState"]
+__all__ = ["WEIGHTS_NAME", "MacroPolicy", "PolicyState"]
 
-CONFIG_NAME = "config.json"
 WEIGHTS_NAME = "model.safetensors"
 
 
@@ -209,16 +208,19 @@ class MacroPolicy:
 
         Raises ValueError where recovery is wanted and the policy holds no actions of demonstrators.
         """
-        if recovery is None:
-            recovery = self.config.recovery
-        if not recovery:
-            return MacroPlanner(self)
+        planner, replayed = MacroPlanner(self), self.replayed(recovery)
+        return planner if replayed is None else RecoveringPlanner(planner, replayed, seed)
+
+    def replayed(self, recovery: bool | None = None) -> Stretches | None:
+        """What recovery replays, None where there is no recovery; argument and errors as of `planner`."""
+        if not (self.config.recovery if recovery is None else recovery):
+            return None
         if self.stretches is None:
             raise ValueError(
                 "the policy holds no actions of demonstrators, which recovery replays: train it again, or "
                 "run it without recovery"
             )
-        return RecoveringPlanner(MacroPlanner(self), self.stretches, seed)
+        return self.stretches
 
     def to(self, device: str | torch.device) -> "MacroPolicy":
         """The policy with its tensors on `device`."""
@@ -226,12 +228,19 @@ class MacroPolicy:
         return _assemble(self.config, tensors)
 
     def save(self, folder: Path) -> None:
-        """Write config.json and model.safetensors into `folder`, each under a temporary name first."""
+        """Write the policy into `folder`, every file under a temporary name first.
+
+        The files are model.safetensors, config.json and two more that LeRobot asks for
+        (dpmacro/policy/files.py).
+        """
+        self.save_weights(folder / WEIGHTS_NAME)
+        write_config(self.config, folder)
+
+    def save_weights(self, file: Path) -> None:
+        """Write the numbers of the policy, all but its config, as safetensors."""
         tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in self._tensors().items()}
-        with replacing(folder / WEIGHTS_NAME) as path:
+        with replacing(file) as path:
             save_file(tensors, path)
-        with replacing(folder / CONFIG_NAME) as path:
-            path.write_text(json.dumps(asdict(self.config), indent=2) + "\n")
 
     @classmethod
     def load(cls, folder: str | Path, device: str | torch.device = "cpu") -> "MacroPolicy":
@@ -245,9 +254,15 @@ class MacroPolicy:
                 raise ValueError(
                     f"{folder} holds no {name}: give the pretrained_model folder of a training run"
                 )
-        config = read_config(folder / CONFIG_NAME)
+        return cls.load_weights(read_config(folder / CONFIG_NAME), folder / WEIGHTS_NAME, device)
+
+    @classmethod
+    def load_weights(
+        cls, config: PolicyConfig, file: Path, device: str | torch.device = "cpu"
+    ) -> "MacroPolicy":
+        """The policy of this config and the numbers that `save_weights` wrote; errors as `load`."""
         try:
-            policy = _assemble(config, load_file(folder / WEIGHTS_NAME, device=str(device)))
+            policy = _assemble(config, load_file(file, device=str(device)))
             # A frame tells whether the tensors fit one another, before a world is built.
             kinds = {0: torch.int64, 1: torch.float32, 3: torch.uint8}
             blank = {
@@ -257,9 +272,7 @@ class MacroPolicy:
             policy.act(blank, policy.initial_state(1))
             return policy
         except (SafetensorError, LookupError, TypeError, ValueError, RuntimeError, OSError) as error:
-            raise ValueError(
-                f"{folder / WEIGHTS_NAME} cannot be read ({error}): train or copy it again"
-            ) from error
+            raise ValueError(f"{file} cannot be read ({error}): train or copy it again") from error
 
     def _tensors(self) -> dict[str, Tensor]:
         groups = {"features": self.features.tensors(), "actor": classifier_tensors(self.actor)}

@@ -61,6 +61,13 @@ def random_policy(kind="rectangles", switches=((0, 1), (1, 2)), seed=0, starts=(
     return MacroPolicy.compact(config, features, quantiser, stumps(3, 3), switcher), images
 
 
+def change_config(folder, changes):
+    """Other values in the config.json of a saved policy."""
+    values = json.loads((folder / "config.json").read_text())
+    values["planner"] |= changes
+    (folder / "config.json").write_text(json.dumps(values))
+
+
 def run(policy, images):
     """Actions and macro-actions of one environment that shows `images`."""
     planner, actions, macros = policy.planner(), [], []
@@ -105,7 +112,7 @@ def test_the_highest_switch_above_its_threshold_wins():
         (scores - torch.tensor([2.0, 1.0]), 1),
         (scores - torch.tensor([1.0, -1.0]), 1),
     ):
-        config = PolicyConfig(**{**policy.config.__dict__, "thresholds": tuple(thresholds.tolist())})
+        config = replace(policy.config, thresholds=tuple(thresholds.tolist()))
         changed = MacroPolicy(config, policy.features, policy.quantiser, policy.actor, policy.switcher)
         assert run(changed, images[:1])[1] == [macro]
 
@@ -180,7 +187,19 @@ def test_files_keep_every_decision(tmp_path, kind, switches, starts):
     assert sorted(path.name for path in (tmp_path / "model").iterdir()) == [
         "config.json",
         "model.safetensors",
+        "policy_postprocessor.json",
+        "policy_preprocessor.json",
     ]
+
+
+def test_a_policy_saved_before_lerobot_could_load_it_is_read(tmp_path):
+    """Its config.json held what now is under `planner` alone."""
+    policy, images = random_policy()
+    policy.save(tmp_path)
+    flat = json.loads((tmp_path / "config.json").read_text())["planner"]
+    (tmp_path / "config.json").write_text(json.dumps(flat))
+    read = MacroPolicy.load(tmp_path)
+    assert read.config == policy.config and run(read, images) == run(policy, images)
 
 
 def test_a_reset_planner_starts_afresh():
@@ -285,8 +304,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path, harm, message):
 )
 def test_a_config_that_cannot_be_is_named(tmp_path, changes, message):
     random_policy()[0].save(tmp_path)
-    values = json.loads((tmp_path / "config.json").read_text())
-    (tmp_path / "config.json").write_text(json.dumps({**values, **changes}))
+    change_config(tmp_path, changes)
     with pytest.raises(ValueError, match=rf"(?s)config\.json is no policy of dpmacro.*\(.*{message}"):
         MacroPolicy.load(tmp_path)
 
@@ -313,8 +331,7 @@ def test_tensors_that_do_not_fit_one_another_are_named(tmp_path, change):
 def test_tensors_that_do_not_belong_to_the_config_are_named(tmp_path):
     policy, _ = random_policy(switches=())
     policy.save(tmp_path)
-    values = json.loads((tmp_path / "config.json").read_text())
-    (tmp_path / "config.json").write_text(json.dumps({**values, "switches": [[0, 1]], "thresholds": [0.0]}))
+    change_config(tmp_path, {"switches": [[0, 1]], "thresholds": [0.0]})
     with pytest.raises(ValueError, match="cannot be read"):
         MacroPolicy.load(tmp_path)
 

@@ -1,6 +1,5 @@
 """Where demonstrations start with different macro-actions the first frame of a run tells with which."""
 
-import json
 from dataclasses import replace
 
 import gymnasium as gym
@@ -10,7 +9,7 @@ from safetensors.torch import load_file
 
 from dpmacro.boosting.learners.base import Frames
 from dpmacro.policy.policy import MacroPolicy
-from tests.policy.test_policy import KEY, random_policy, run, seen
+from tests.policy.test_policy import KEY, change_config, random_policy, run, seen
 
 
 def told_at(policy, images, starts):
@@ -80,7 +79,6 @@ def test_a_single_start_asks_no_classifier(tmp_path):
 def test_starts_need_the_tensors_of_their_classifiers(tmp_path):
     policy, _ = random_policy(switches=())
     policy.save(tmp_path)
-    values = json.loads((tmp_path / "config.json").read_text())
-    (tmp_path / "config.json").write_text(json.dumps({**values, "starts": [0, 2]}))
+    change_config(tmp_path, {"starts": [0, 2]})
     with pytest.raises(ValueError, match="cannot be read"):
         MacroPolicy.load(tmp_path)

@@ -1,6 +1,5 @@
 """Policies that see states, several cameras or a task, and act by vectors."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +14,7 @@ from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import InputConfig, PolicyConfig
 from dpmacro.policy.observation import observed
 from dpmacro.policy.policy import MacroPolicy
+from tests.policy.test_policy import change_config
 
 STATE, TOP, WRIST, TASK = (
     "observation.state",
@@ -172,8 +172,7 @@ def test_what_is_shown_must_have_the_size_of_the_training():
 )
 def test_a_config_of_vectors_that_cannot_be_is_named(tmp_path, changes, message):
     vector_policy(relative=True)[0].save(tmp_path)
-    values = json.loads((tmp_path / "config.json").read_text())
-    (tmp_path / "config.json").write_text(json.dumps({**values, **changes}))
+    change_config(tmp_path, changes)
     with pytest.raises(ValueError, match=rf"(?s)config\.json is no policy of dpmacro.*\(.*{message}"):
         MacroPolicy.load(tmp_path)
 

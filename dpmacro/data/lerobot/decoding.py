@@ -148,6 +148,7 @@ def _open_video(path: Path) -> Any:
     """The container of a video file; what it holds on entering, DatasetError where there is none."""
     if not path.is_file():
         raise DatasetError(f"{path}: is missing; the dataset is half-copied or half-written")
+    av.logging.set_libav_level(av.logging.FATAL)  # errors are raised; libav would write its own lines, too
     container = av.open(f"file:{path}")  # a path as it is may be taken for a protocol
     if not container.streams.video:
         container.close()
