@@ -23,11 +23,13 @@ class Motion:
     def __init__(self) -> None:
         self._vectors: deque[np.ndarray] = deque(maxlen=END)
         self._digests: deque[bytes] = deque(maxlen=END)
-        self._low = self._high = np.zeros(0)
+        self._low: np.ndarray = np.zeros(0)
+        self._high: np.ndarray = np.zeros(0)
 
     def see(self, observation: Mapping[str, np.ndarray]) -> None:
         """Note an observation, a picture or a vector by every key."""
-        vectors, pictures = [np.zeros(0)], hashlib.blake2b(digest_size=16)
+        vectors: list[np.ndarray] = [np.zeros(0)]
+        pictures = hashlib.blake2b(digest_size=16)
         for value in observation.values():
             if value.ndim == 1 and value.size <= LARGEST:
                 vectors.append(value.astype(np.float64))

@@ -64,11 +64,8 @@ class WorldOptions:
             else dict(pair.split("=", 1) for pair in self.observations),
             "success": self.success,
         }
-        return {
-            **world,
-            **{name: value for name, value in given.items() if value is not None},
-            **self.options,
-        }
+        ours = {name: value for name, value in given.items() if value is not None}
+        return {**world, **ours, **self.options}
 
 
 def import_package(world: Mapping[str, Any]) -> None:

@@ -18,8 +18,11 @@ Place = tuple[str, ...]  # names from the outermost dictionary inwards; () for a
 
 
 def usual_key(place: Place) -> str:
-    """LeRobot's key of what stands at a place: `pixels` is observation.image, one of several pixels by its
-    camera observation.images.<camera>, `agent_pos` observation.state; others have `observation.` before."""
+    """LeRobot's key of what stands at a place.
+
+    `pixels` is observation.image, one of several by its camera observation.images.<camera>, and `agent_pos`
+    is observation.state; others have `observation.` before their name.
+    """
     name = ".".join(place)
     if name.startswith("pixels."):
         return f"observation.images.{name.removeprefix('pixels.')}"
@@ -149,7 +152,7 @@ def _boxes(world: str, space: gym.Space, place: Place = ()) -> Iterable[tuple[Pl
         yield place, space
     elif not place:
         raise WorldError(
-            f"the world {world} shows {type(space).__name__} spaces, and a policy sees a Box or a Dict of them: "
+            f"the world {world} shows a {type(space).__name__}, and a policy sees a Box, or a Dict of some: "
             "wrap the world"
         )
 
@@ -167,7 +170,8 @@ def _named(world: str, key: str, name: str, boxes: Mapping[Place, gym.spaces.Box
         if ".".join(place) == name:
             return place
     raise WorldError(
-        f"--world.observations has {key}={name}, and the world {world} shows {_told(boxes)}: choose among these"
+        f"--world.observations has {key}={name}, and the world {world} shows {_told(boxes)}: choose one of "
+        "these"
     )
 
 

@@ -17,9 +17,9 @@ KEYS = ("is_success", "success")  # of an info, the first that there is
 class SuccessRule:
     """Which of a world's signs counts.
 
-    A run has succeeded where the info of its last step says so under `is_success` or `success`. Where the info
-    has neither, rewards tell: their sum has to reach `threshold`, or, without one, the step on which the
-    world ends the run has to earn more than 0.
+    A run has succeeded where the info of its last step says so under `is_success` or `success`. Where the
+    info has neither, rewards tell: their sum has to reach `threshold`, or, without one, the step on which
+    the world ends the run has to earn more than 0.
 
     Attributes:
         world: its id, for messages.

@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 
 from dpmacro.worlds.two_flags.scene import AVATAR_RADIUS, FLAG_RADIUS, SURFACES, Layout, Scene
 
+FPS = 30
 ACTIONS = ("forward", "turn_left", "turn_right")
 FORWARD, TURN_LEFT, TURN_RIGHT = range(3)
 STEP = 0.03
@@ -72,7 +73,9 @@ def complete_options(options: Mapping[str, Any]) -> dict[str, Any]:
     unknown = sorted(set(options) - set(_DEFAULTS))
     if unknown:
         raise ValueError(f"TwoFlags has no option {unknown[0]!r}: choose among {', '.join(_DEFAULTS)}")
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in options.items()
+    }
     for name, value in given.items():
         default = _DEFAULTS[name]
         alike = isinstance(value, tuple) == isinstance(default, tuple)
@@ -111,7 +114,7 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         options: the fields of `TwoFlagsConfig`. Unknown or unfit ones raise ValueError.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 30}  # noqa: RUF012  gymnasium's own way
+    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012  gymnasium's own way
 
     def __init__(self, render_mode: str | None = None, **options: Any):
         if render_mode not in (None, "rgb_array"):

@@ -1,7 +1,7 @@
 """What a recording of TwoFlags tells beside what is seen: its task, its actions, its true labels."""
 
 from dpmacro.worlds.base import Recording
-from dpmacro.worlds.two_flags.env import ACTIONS, TwoFlagsEnv
+from dpmacro.worlds.two_flags.env import ACTIONS, FPS
 
 __all__ = ["recording"]
 
@@ -12,7 +12,7 @@ def recording(world: str) -> Recording:
         task="reach the blue flag, then the red flag",
         truth={"phase": ("before blue", "after blue")},
         actions=ACTIONS,
-        fps=int(TwoFlagsEnv.metadata["render_fps"]),
+        fps=FPS,
         symmetric=True,
         observations={"observation.images.avatar": "pixels"},
     )
