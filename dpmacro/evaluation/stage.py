@@ -1,7 +1,6 @@
 """A world and a planner in it: what fits and what does not, and one run step by step."""
 
-from collections.abc import Generator, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Generator, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,8 @@ from dpmacro.evaluation.loops import VisitedStates
 from dpmacro.evaluation.motion import Motion
 from dpmacro.worlds import DIAGNOSES, diagnosis_of, entry_of
 from dpmacro.worlds.actions import ActionMap
-from dpmacro.worlds.base import NO_MACRO, NO_PHASE, Moment, Planner, WorldError
-from dpmacro.worlds.making import brief, make_world
+from dpmacro.worlds.base import NO_MACRO, NO_PHASE, Moment, Planner
+from dpmacro.worlds.making import blamed, make_world
 from dpmacro.worlds.observations import ObservationMap
 from dpmacro.worlds.success import SuccessRule
 
@@ -69,7 +68,7 @@ class Stage:
         Raises WorldError where the world raises anything, or shows or is given what it should not.
         """
         when = f"at the start of the run of seed {seed}"
-        with self._blamed(when):
+        with blamed(self.world, when):
             observation, info = self.env.reset(seed=seed)
         shown = self._shown(observation, when)
         self.planner.reset(self.env)
@@ -82,14 +81,14 @@ class Stage:
             when = f"at step {step} of the run of seed {seed}"
             view = None
             if self.env.render_mode is not None and step % every == 0:
-                with self._blamed(when):
+                with blamed(self.world, when):
                     view = np.asarray(self.env.render())
             phase = int(info.get("phase", NO_PHASE)) if self._known else NO_PHASE
             position = info.get("position") if self._known else None
             chosen = self.planner.act(shown, info)
             macro = int(getattr(self.planner, "macro", NO_MACRO))
             action, clipped = self.does.of(chosen, when)
-            with self._blamed(when):
+            with blamed(self.world, when):
                 observation, reward, terminated, truncated, info = self.env.step(action)
             shown = self._shown(observation, when)
             if motion is not None:
@@ -108,16 +107,6 @@ class Stage:
 
     def _shown(self, observation: Any, when: str) -> Any:
         return observation if self.sees is None else self.sees.of(observation, when)
-
-    @contextmanager
-    def _blamed(self, when: str) -> Iterator[None]:
-        """What the world raises becomes a WorldError: its code is not ours, and may raise anything."""
-        try:
-            yield
-        except Exception as error:
-            raise WorldError(
-                f"the world {self.world} raised {brief(error)}, {when}: correct the world or its options"
-            ) from error
 
 
 def config_of(planner: Planner) -> Any:

@@ -92,7 +92,10 @@ def _with_strip(
 def _action_text(action: Any, names: Sequence[str]) -> str:
     """The name of a class, or the first numbers of a vector."""
     if np.ndim(action):
-        return " ".join(f"{number:+.1f}" for number in action[:NUMBERS]) + " ..." * (len(action) > NUMBERS)
+        shown = action if len(action) <= NUMBERS else action[: NUMBERS - 1]
+        # Rounded, small negative numbers would read -0.0.
+        numbers = [f"{round(float(number), 1) + 0.0:+.1f}" for number in shown]
+        return " ".join([*numbers, "..."] if len(action) > NUMBERS else numbers)
     return names[action].replace("_", " ") if action < len(names) else f"action {action}"
 
 

@@ -5,7 +5,8 @@ keep it. Four more names in it are no options of the world: see `OURS`.
 """
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -14,7 +15,7 @@ import gymnasium as gym
 from dpmacro.worlds import MAKERS, OPTIONS, entry_of
 from dpmacro.worlds.base import WorldError
 
-__all__ = ["OURS", "WorldOptions", "brief", "complete", "import_package", "make_world"]
+__all__ = ["OURS", "WorldOptions", "blamed", "brief", "complete", "import_package", "make_world"]
 
 OURS = ("id", "import", "observations", "success")
 """What a world's mapping may hold beside its own options.
@@ -113,6 +114,20 @@ def make_world(world: Mapping[str, Any], render_mode: str | None = None) -> gym.
         raise WorldError(
             f"the world {name} cannot be made with {options} ({brief(error)}): correct its options, "
             "--world.<option>="
+        ) from error
+
+
+@contextmanager
+def blamed(world: str, when: str) -> Iterator[None]:
+    """What a world raises within becomes a WorldError: its code is not ours, and may raise anything.
+
+    `world` is its id, and `when` says at which step of which run.
+    """
+    try:
+        yield
+    except Exception as error:
+        raise WorldError(
+            f"the world {world} raised {brief(error)}, {when}: correct the world or its options"
         ) from error
 
 
