@@ -103,14 +103,14 @@ def make_world(world: Mapping[str, Any], render_mode: str | None = None) -> gym.
     try:
         # What is seen and done is checked in every step anyway.
         return maker(name, **options) if maker else gym.make(name, disable_env_checker=True, **options)
-    except (gym.error.UnregisteredEnv, gym.error.MalformedEnvSpec, ModuleNotFoundError) as error:
-        raise WorldError(
-            f"there is no world {name!r} ({brief(error)}): correct --world.id, or name the package that "
-            "registers it by --world.import="
-        ) from error
     except Exception as error:  # a stranger's world may raise anything
         if isinstance(error, ValueError) and (maker or entry_of(OPTIONS, name)):  # ours, which name a remedy
             raise
+        if name.rpartition(":")[2] not in gym.registry:
+            raise WorldError(
+                f"there is no world {name!r} ({brief(error)}): correct --world.id, or name the package that "
+                "registers it by --world.import="
+            ) from error
         raise WorldError(
             f"the world {name} cannot be made with {options} ({brief(error)}): correct its options, "
             "--world.<option>="

@@ -39,11 +39,15 @@ __all__ = [
     "recording",
 ]
 
+# MuJoCo looks at it when it is imported, and its default, a window, fails where there is no display.
+if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+    os.environ.setdefault("MUJOCO_GL", "egl")
+
 FAMILY = "Meta-World/"  # what the worlds' ids begin with; the task follows
 STATE = "observation.state"
 ACTIONS = ("x", "y", "z", "gripper")  # how far the hand is to move, and how hard the fingers are to press
 FPS = 80
-MAX_STEPS = 400  # every expert below needs less than half of them
+MAX_STEPS = 400  # every expert below needs fewer, most of them a third
 VIEW = 480  # height and width, in pixels, of the view for people
 CAMERA, PLACE = "corner2", (0.75, 0.075, 0.7)  # moved to where LeRobot has it; its pictures are upside down
 
@@ -228,8 +232,6 @@ def check_task(task: str) -> None:
     """Raise ValueError where metaworld is missing or `TASKS` has no such task."""
     if task not in TASKS:
         raise ValueError(f"task is {task!r}: choose from {', '.join(TASKS)}")
-    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("MUJOCO_GL", "egl")  # mujoco looks at it when it is imported
     try:
         import metaworld  # noqa: F401
     except ImportError as error:
