@@ -11,6 +11,7 @@ from jaxtyping import Float
 __all__ = ["END", "Motion"]
 
 END = 50  # steps
+ROUNDING = 1e-5  # share of its size, up to which a number does not count as moving
 STILL = 0.01  # share of the range in a run, up to which a number that moves does not count as moving
 ALIKE = 0.1  # share of its range at the end, up to which a number that moves has come back
 WHOLE = 0.5  # share of that range that a number must cover within one period
@@ -48,14 +49,15 @@ class Motion:
         1 where nothing moves, 0 where they do not repeat themselves or there are fewer.
 
         A picture has to come back exactly. A number moves where it covers more than the share `STILL` of its
-        range in the whole run. It comes back where it is off by no more than the share `ALIKE` of what it
+        range in the whole run, and more than the share `ROUNDING` of its size. It comes back where it is off by no more than the share `ALIKE` of what it
         covers at the end, and covers at least the share `WHOLE` of that in one period.
         """
         if len(self._vectors) < END:
             return 0
         values, digests = np.stack(self._vectors), list(self._digests)
         covered = np.ptp(values, axis=0)
-        moving = covered > STILL * (self._high - self._low)
+        size = np.maximum(np.abs(self._low), np.abs(self._high))
+        moving = covered > np.maximum(STILL * (self._high - self._low), ROUNDING * size)
         values, covered = values[:, moving], covered[moving]
         if not moving.any() and len(set(digests)) == 1:
             return 1

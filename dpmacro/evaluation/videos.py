@@ -82,9 +82,12 @@ def _with_strip(
         frame[height:, :180] = shade
         ink = PAPER if np.dot(shade, (0.3, 0.59, 0.11)) < 140 else INK
         _write(frame, f"macro-action {moment.macro}", 14, height + 31, ink)
-    if moment.phase != NO_PHASE:
+    text = _action_text(moment.action, action_names)
+    if moment.phase == NO_PHASE:
+        _write(frame, text, 200, height + 31, INK)
+    else:
         _write(frame, f"phase {moment.phase}", 200, height + 31, INK)
-    _write(frame, _action_text(moment.action, action_names), 310, height + 31, INK)
+        _write(frame, text, 310, height + 31, INK)
     _write(frame, f"step {step}", 530, height + 31, INK)
     return frame
 

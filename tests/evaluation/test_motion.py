@@ -29,6 +29,7 @@ WAVE = np.sin(2 * np.pi * T / 8)
     [
         ([STOPPED], None, 1),
         ([STOPPED, STOPPED + 0.001 * RNG.normal(size=len(T))], None, 1),  # it trembles
+        ([1 + 1e-9 * T], None, 1),  # in float32 it rounds up once
         ([T], None, 0),
         ([T**0.5], None, 0),
         ([WAVE], None, 8),

@@ -52,7 +52,8 @@ def test_worlds_that_cannot_be_made_are_refused_in_one_line(world, message):
 def test_a_package_registers_its_world_and_a_broken_one_is_named(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "brings_a_world.py").write_text(
-        "import gymnasium\nfrom tests.worlds.test_making import Plain\ngymnasium.register('Brought-v0', Plain)"
+        "import gymnasium\nfrom tests.worlds.test_making import Plain\n"
+        "gymnasium.register('Brought-v0', Plain)\n"
     )
     (tmp_path / "breaks.py").write_text("1 / 0")
     env = make_world({"id": "Brought-v0", "import": "brings_a_world"})
