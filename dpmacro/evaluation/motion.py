@@ -49,8 +49,9 @@ class Motion:
         1 where nothing moves, 0 where they do not repeat themselves or there are fewer.
 
         A picture has to come back exactly. A number moves where it covers more than the share `STILL` of its
-        range in the whole run, and more than the share `ROUNDING` of its size. It comes back where it is off by no more than the share `ALIKE` of what it
-        covers at the end, and covers at least the share `WHOLE` of that in one period.
+        range in the whole run, and more than the share `ROUNDING` of its size. It comes back where it is off
+        by no more than the share `ALIKE` of what it covers at the end, and covers at least the share `WHOLE`
+        of that in one period.
         """
         if len(self._vectors) < END:
             return 0

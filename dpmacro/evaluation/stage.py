@@ -70,7 +70,7 @@ class Stage:
         when = f"at the start of the run of seed {seed}"
         with blamed(self.world, when):
             observation, info = self.env.reset(seed=seed)
-        shown = self._shown(observation, when)
+        shown = self.shown(observation, when)
         self.planner.reset(self.env)
         step, ended, visited, total = 0, False, VisitedStates(), 0.0
         # A world that someone has told about tells itself what happens at the end.
@@ -90,7 +90,7 @@ class Stage:
             action, clipped = self.does.of(chosen, when)
             with blamed(self.world, when):
                 observation, reward, terminated, truncated, info = self.env.step(action)
-            shown = self._shown(observation, when)
+            shown = self.shown(observation, when)
             if motion is not None:
                 motion.see(_arrays(shown))
             loop = visited.visit(info, self.planner) if self._known and not terminated else 0
@@ -105,7 +105,8 @@ class Stage:
             done = action - self.does.start if np.ndim(action) == 0 else action
             yield Moment(phase, done, macro, float(reward), outcome, view, position, loop, clipped, success)
 
-    def _shown(self, observation: Any, when: str) -> Any:
+    def shown(self, observation: Any, when: str) -> Any:
+        """What the planner is shown of an observation; WorldError, which says `when`, for an unfit one."""
         return observation if self.sees is None else self.sees.of(observation, when)
 
 
