@@ -116,6 +116,7 @@ class MetaWorld(gym.Env):
         self._env: Any = ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE[f"{task}-goal-observable"](seed=0)
         self._env.seeded_rand_vec = True  # else its seeds are ignored
         self._env._freeze_rand_vec = False
+        self._env.model.camera(CAMERA).pos[:] = PLACE  # before a reset, which moves the camera there
         self.action_space = self._env.action_space
         spaces = {STATE: gym.spaces.Box(-np.inf, np.inf, self._env.observation_space.shape, np.float32)}
         if pixels:
@@ -169,7 +170,6 @@ class MetaWorld(gym.Env):
         import mujoco
 
         model = self._env.model
-        model.camera(CAMERA).pos[:] = PLACE
         if not self._shadows:  # before the first picture
             model.vis.quality.shadowsize, model.vis.quality.offsamples = 1, 0
         renderer = mujoco.Renderer(model, size, size)
