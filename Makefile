@@ -129,10 +129,10 @@ table: $(INSTALLED) ## success of teacher, baseline and DPBoost, into docs/resul
 	$(BIN)/python benchmarks/table1.py --workers=$(WORKERS) $(if $(QUICK),--quick=true,--report=docs/results.md) $(TABLE)
 
 $(BABYAI)/%/meta/info.json: | $(INSTALLED)
-	$(BIN)/python datasets/record_babyai.py --root=$(BABYAI)/$* --level=$* --episodes=100 --seed=0
+	$(BIN)/python datasets/record.py --root=$(BABYAI)/$* --world.id=$* --workers=$(WORKERS) --episodes=100 --seed=0
 
 $(METAWORLD)/%/meta/info.json: | $(SIMULATOR)
-	$(BIN)/python datasets/record_metaworld.py --root=$(METAWORLD)/$* --task=$* --episodes=50 --noise=0.1 --seed=0
+	$(BIN)/python datasets/record.py --root=$(METAWORLD)/$* --world.id=Meta-World/$* --workers=$(WORKERS) --episodes=50 --noise=0.1 --seed=0
 
 lerobot-metaworld: $(SIMULATOR) ## a policy in LeRobot's own Meta-World, by stock lerobot-eval (half an hour; BENCH=--task=... for another task)
 	$(BIN)/python benchmarks/lerobot_metaworld.py $(BENCH)

@@ -1,6 +1,6 @@
 """Sources whose actions are vectors: recorded datasets of robots and people, their truth hidden from methods.
 
-metaworld   Meta-World's scripted experts, the stage their truth (datasets/record_metaworld.py records them)
+metaworld   Meta-World's scripted experts, the stage their truth (datasets/record.py records them)
 mocap6      people exercising, what people said which exercise it is
 cr5         a real arm that picks a banana; when its gripper closes and opens is the truth, and hidden
 """

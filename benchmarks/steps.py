@@ -6,9 +6,7 @@ Two processes start at a barrier, worlds built and modules imported, and keep bo
 bare loop draws the very pictures of the runs it is compared with, and does nothing else.
 """
 
-import importlib
 import multiprocessing
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -18,16 +16,18 @@ from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
 from statistics import median
-from types import ModuleType
 from typing import Any
 from unittest.mock import patch
 
+from dpmacro.evaluation.recording import expert_runs
 from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes
+from dpmacro.evaluation.run_writer import writing_runs
 from dpmacro.utils import cli
+from dpmacro.worlds import recording_of
 from dpmacro.worlds.two_flags.bullet import pybullet
 
 PROCESSES = 2
-SCRIPTS = Path(__file__).resolve().parent.parent / "datasets"
+WORLD = "TwoFlags-v0"
 
 Call = tuple[tuple[Any, ...], dict[str, Any]]
 
@@ -66,12 +66,11 @@ def main(options: StepsOptions) -> None:
 
 def rows(repeats: int, quick: bool) -> list[dict[str, Any]]:
     """A row for evaluation and one for recording, medians of `repeats`."""
-    record = _record_script()
     n_runs, max_steps, seeds = (1, 30, range(1000, 1002)) if quick else (8, 600, range(1000, 1004))
-    world = {"id": record.WORLD}
+    world = {"id": WORLD}
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        recordings = [_record(record, world, root / f"{k}", n_runs) for k in range(repeats)]
+        recordings = [_record(world, root / f"{k}", n_runs) for k in range(repeats)]
         first, last, _ = recordings[0]
         teacher = speeds(PlannerSource("teacher"), world, _dealt(range(first, last)), 1)
         steps = sum(teacher.steps.values())
@@ -170,23 +169,19 @@ def _camera_calls() -> Iterator[list[Call]]:
         yield calls
 
 
-def _record(record: ModuleType, world: dict[str, Any], root: Path, n_runs: int) -> tuple[int, int, float]:
+def _record(world: dict[str, Any], root: Path, n_runs: int) -> tuple[int, int, float]:
     """The seconds from the first kept run on until `n_runs` more are kept, and the seeds tried meanwhile.
 
     By then worlds are built and LeRobot is imported. As many runs wait at the start as at the end.
     """
     kept, first, started = 0, 0, 0.0
-    told = hasattr(record, "TASK")  # by the script; earlier writers knew it themselves
-    classes, task = ({"classes": record.PHASES}, {"task": record.TASK}) if told else ({}, {})
     with (
-        record.DemonstrationWriter.create(
-            root, record.ACTIONS, record.FPS, world, False, **classes
-        ) as writer,
-        closing(record.teacher_runs(world, False, 0, PROCESSES)) as runs,
+        writing_runs(root, world, recording_of(world["id"])) as writer,
+        closing(expert_runs(world, 0, PROCESSES)) as runs,
     ):
         for seed, run in enumerate(runs):
             if run is not None:
-                writer.add_episode(run.images, run.actions, run.truth, run.rewards, True, **task)
+                writer.add(run)
                 kept += 1
                 if kept == 1:
                     first, started = seed + 1, time.perf_counter()
@@ -207,13 +202,6 @@ def _train(dataset: Path, folder: Path, quick: bool) -> Path:
     planner = PlannerOptions(restarts=1, rounds=rounds, switch_rounds=switch_rounds)
     options = TrainOptions(DatasetOptions(dataset), planner)
     return Trainer(Demonstrations.load(dataset), options, RunFolder(folder)).train().pretrained
-
-
-def _record_script() -> ModuleType:
-    """datasets/record.py; its workers, too, find it by name."""
-    if str(SCRIPTS) not in sys.path:
-        sys.path.append(str(SCRIPTS))
-    return importlib.import_module("record")
 
 
 def _dealt(seeds: Sequence[int]) -> list[list[int]]:

@@ -14,7 +14,7 @@ from draccus.argparsing import ArgumentParser
 REPOSITORY = Path(__file__).resolve().parent.parent
 MODULES = sorted((REPOSITORY / "dpmacro").rglob("*.py"))
 KNOW_UTILS_ALONE = ("utils", "segmentation", "features", "metrics", "worlds")
-SCRIPTS = ("train", "eval", "record", "record_babyai", "record_metaworld", "annotate")
+SCRIPTS = ("train", "eval", "record", "annotate")
 
 # A package may import those before it, and itself; figures are drawn by the packages at the end alone.
 ORDER = (

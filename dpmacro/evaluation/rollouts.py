@@ -7,21 +7,22 @@ would have had at the world's last step.
 import json
 import sys
 from collections.abc import Generator, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
-from dpmacro.evaluation.loops import VisitedStates
+from dpmacro.evaluation.stage import Stage
 from dpmacro.utils.processes import spread, stopped
-from dpmacro.worlds import diagnosis_of, expert_of
-from dpmacro.worlds.base import NO_MACRO, Episode, Moment, Planner
+from dpmacro.worlds import expert_of
+from dpmacro.worlds.base import Episode, Moment, Planner, WorldError
+from dpmacro.worlds.making import import_package
 
-__all__ = ["PlannerSource", "iter_episodes", "one_thread", "replay", "run_episodes"]
+__all__ = ["PlannerSource", "iter_episodes", "one_thread", "replay", "run_episodes", "run_on"]
 
 
 @dataclass(frozen=True)
@@ -72,19 +73,21 @@ def iter_episodes(
 
     Args:
         source: the planner; read once per worker.
-        world: {"id": of a registered environment, **its options}; built once per worker.
+        world: {"id": of a registered environment, **its options}, as `dpmacro.worlds.making` reads it; built
+            once per worker.
         seeds: one per episode.
         workers: processes; 1 runs in this one. Closing the iterator, or an interrupt, ends them.
 
     Raises:
-        ValueError: workers < 1, or the planner cannot be read. What a worker raises is raised here.
+        ValueError: workers < 1, the planner cannot be read, there is no such world, or the two do not fit. A
+            WorldError where the world itself raises, or shows what it should not; episodes before it have
+            been given out.
     """
     if workers < 1:
         raise ValueError(f"workers is {workers}, it must be at least 1")
     if workers == 1:
         return _run_here(source, world, seeds)
-    task = partial(_run_in_worker, source, json.dumps(dict(world)))
-    return spread(task, seeds, min(workers, max(len(seeds), 1)))
+    return _run_in_processes(source, world, seeds, workers)
 
 
 def replay(
@@ -95,60 +98,37 @@ def replay(
     Rendering is slow, so `iter_episodes` does without. Every `every`-th moment is rendered, from the first
     on; the others have no view.
     """
-    with one_thread(), closing(_Stage(source, world, render_mode="rgb_array")) as stage:
+    planner = source.planner(world["id"])
+    with one_thread(), closing(Stage(planner, world, render_mode="rgb_array")) as stage:
         yield from stage.moments(seed, every)
 
 
-class _Stage:
-    """A world and a planner in it, for one episode after another."""
-
-    def __init__(self, source: PlannerSource, world: Mapping[str, Any], render_mode: str | None = None):
-        options = dict(world)
-        world_id = options.pop("id")
-        self.planner = source.planner(world_id)
-        self.env = gym.make(world_id, render_mode=render_mode, **options)
-        self.diagnosis = diagnosis_of(world_id)
-
-    def close(self) -> None:
-        self.env.close()
-
-    def moments(self, seed: int, every: int = 1) -> Generator[Moment]:
-        observation, info = self.env.reset(seed=seed)
-        self.planner.reset(self.env)
-        step, ended, visited = 0, False, VisitedStates()
-        visited.visit(info, self.planner)
-        while not ended:
-            rendered = self.env.render_mode is not None and step % every == 0
-            view = np.asarray(self.env.render()) if rendered else None
-            phase, position = int(info.get("phase", 0)), info.get("position")
-            action = int(self.planner.act(observation, info))
-            macro = int(getattr(self.planner, "macro", NO_MACRO))
-            observation, reward, terminated, truncated, info = self.env.step(action)
-            loop = 0 if terminated else visited.visit(info, self.planner)
-            ended = bool(terminated or truncated or loop)
-            step += 1
-            outcome = self.diagnosis.outcome(info) if ended else ""
-            yield Moment(phase, action, macro, float(reward), outcome, view, position, loop)
-
-    def episode(self, seed: int) -> Episode:
-        moments = []
-        with one_thread():
-            for moment in self.moments(seed):
-                moments.append(moment)
-                if stopped():
-                    raise InterruptedError(f"run of seed {seed} stopped after {len(moments)} steps")
-        return Episode(
-            seed=seed,
-            outcome=moments[-1].outcome,
-            actions=np.array([moment.action for moment in moments], np.uint8),
-            phases=np.array([moment.phase for moment in moments], np.int8),
-            macros=np.array([moment.macro for moment in moments], np.int8),
-            rewards=np.array([moment.reward for moment in moments], np.float32),
-            loop=moments[-1].loop,
-            positions=None
-            if moments[0].position is None
-            else np.array([moment.position for moment in moments], np.float32),
-        )
+def run_on(stage: Stage, seed: int) -> Episode:
+    """One run, in this process."""
+    moments = []
+    with one_thread():
+        for moment in stage.moments(seed):
+            moments.append(moment)
+            if stopped():
+                raise InterruptedError(f"run of seed {seed} stopped after {len(moments)} steps")
+    positions = None
+    if moments[0].position is not None:
+        positions = np.array([moment.position for moment in moments], np.float32)
+    successes = (step for step, moment in enumerate(moments) if moment.success)
+    return Episode(
+        seed=seed,
+        outcome=moments[-1].outcome,
+        actions=np.array([moment.action for moment in moments], stage.does.recorded_type),
+        phases=np.array([moment.phase for moment in moments], np.int8),
+        macros=np.array([moment.macro for moment in moments], np.int8),
+        rewards=np.array([moment.reward for moment in moments], np.float32),
+        loop=moments[-1].loop,
+        positions=positions,
+        period=stage.period,
+        clipped=sum(moment.clipped for moment in moments),
+        first_success=next(successes, None),
+        success_by=stage.success_by,
+    )
 
 
 @contextmanager
@@ -173,16 +153,30 @@ def one_thread() -> Iterator[None]:
 def _run_here(
     source: PlannerSource, world: Mapping[str, Any], seeds: Sequence[int]
 ) -> Generator[Episode, None, None]:
-    with closing(_Stage(source, world)) as stage:
+    with closing(Stage(source.planner(world["id"]), world)) as stage:
         for seed in seeds:
-            yield stage.episode(seed)
+            yield run_on(stage, seed)
+
+
+def _run_in_processes(
+    source: PlannerSource, world: Mapping[str, Any], seeds: Sequence[int], workers: int
+) -> Generator[Episode, None, None]:
+    task = partial(_run_in_worker, source, json.dumps(dict(world)))
+    try:
+        yield from spread(task, seeds, min(workers, max(len(seeds), 1)))
+    except BrokenProcessPool as error:
+        raise WorldError(
+            f"a process that ran the world {world['id']} ended in mid-run: run it with --workers=1 to see why"
+        ) from error
 
 
 @cache
-def _stage(source: PlannerSource, world: str) -> _Stage:
+def _stage(source: PlannerSource, world: str) -> Stage:
     """One world, given as JSON, and planner a process, for one run after another."""
-    return _Stage(source, json.loads(world))
+    made = json.loads(world)
+    import_package(made)
+    return Stage(source.planner(made["id"]), made)
 
 
 def _run_in_worker(source: PlannerSource, world: str, seed: int) -> Episode:
-    return _stage(source, world).episode(seed)
+    return run_on(_stage(source, world), seed)

@@ -8,9 +8,9 @@ from typing import Any
 from torch.utils.tensorboard import SummaryWriter
 
 from dpmacro.metrics.success import SuccessSummary
-from dpmacro.worlds.base import NO_MACRO, Episode
+from dpmacro.worlds.base import NO_MACRO, NO_PHASE, Episode
 
-__all__ = ["eval_info", "run_text", "write_scalars"]
+__all__ = ["clipped_share", "eval_info", "run_notes", "run_text", "write_scalars"]
 
 
 def run_text(summary: SuccessSummary, seconds: float, causes: Sequence[str], loops: int) -> str:
@@ -24,7 +24,8 @@ def run_text(summary: SuccessSummary, seconds: float, causes: Sequence[str], loo
     ]
     for (outcome, phase, macro), count in summary.endings.items():
         doing = "" if macro == NO_MACRO else f", macro-action {macro}"
-        lines.append(f"{count:>7}     {outcome.replace('_', ' '):<20} in phase {phase}{doing}")
+        where = "" if phase == NO_PHASE else f" in phase {phase}"
+        lines.append(f"{count:>7}     {outcome.replace('_', ' '):<20}{where}{doing}".rstrip())
     if summary.endings:
         lines.append("causes")
     for cause, count in Counter(filter(None, causes)).most_common():
@@ -32,6 +33,21 @@ def run_text(summary: SuccessSummary, seconds: float, causes: Sequence[str], loo
     if loops:
         lines.append(f"loops       {loops} of the failures repeat themselves for ever")
     return "\n".join(lines)
+
+
+def run_notes(episodes: Sequence[Episode]) -> list[str]:
+    """What told success in these runs, and, where any was, the share of steps whose action was clipped."""
+    signs = list(dict.fromkeys(episode.success_by for episode in episodes if episode.success_by))
+    lines = [f"told by     {' and '.join(signs)}"] if signs else []
+    if any(episode.actions.ndim == 2 for episode in episodes):
+        share = clipped_share(episodes)
+        lines.append(f"clipped     {share:.1%} of steps had an action beyond what the world takes")
+    return lines
+
+
+def clipped_share(episodes: Sequence[Episode]) -> float:
+    """The share of all steps whose action was clipped into what the world takes, 0..1."""
+    return sum(episode.clipped for episode in episodes) / sum(episode.steps for episode in episodes)
 
 
 def eval_info(
@@ -78,6 +94,11 @@ def eval_info(
             "outcomes": [episode.outcome for episode in episodes],
             "steps": [episode.steps for episode in episodes],
             "loops": [episode.loop for episode in episodes],
+            "periods": [episode.period for episode in episodes],
+            "first_successes": [episode.first_success for episode in episodes],
+            "success_by": list(dict.fromkeys(episode.success_by for episode in episodes)),
+            "clipped_steps": [episode.clipped for episode in episodes],
+            "clipped_share": clipped_share(episodes),
             "causes": list(causes),
             **{name: list(values) for name, values in events.items()},
             "first_changes": [episode.first_change for episode in episodes],

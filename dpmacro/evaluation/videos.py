@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, repeat
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -12,10 +13,11 @@ from matplotlib.colors import to_rgb
 
 from dpmacro.figures import OUTCOME_COLOURS, macro_colour
 from dpmacro.utils.files import replacing
-from dpmacro.worlds.base import NO_MACRO, Moment
+from dpmacro.worlds.base import NO_MACRO, NO_PHASE, Moment
 
 WIDTH = 640
 STRIP = 48
+NUMBERS = 4  # of a vector that the strip has room for
 SECONDS_OF_OUTCOME = 1.5
 PAPER, INK = (250, 250, 250), (34, 34, 34)
 OTHER_OUTCOME = "#666666"  # the colour of an outcome that the charts know no colour for
@@ -80,11 +82,24 @@ def _with_strip(
         frame[height:, :180] = shade
         ink = PAPER if np.dot(shade, (0.3, 0.59, 0.11)) < 140 else INK
         _write(frame, f"macro-action {moment.macro}", 14, height + 31, ink)
-    name = action_names[moment.action] if moment.action < len(action_names) else f"action {moment.action}"
-    _write(frame, f"phase {moment.phase}", 200, height + 31, INK)
-    _write(frame, name.replace("_", " "), 310, height + 31, INK)
+    text = _action_text(moment.action, action_names)
+    if moment.phase == NO_PHASE:
+        _write(frame, text, 200, height + 31, INK)
+    else:
+        _write(frame, f"phase {moment.phase}", 200, height + 31, INK)
+        _write(frame, text, 310, height + 31, INK)
     _write(frame, f"step {step}", 530, height + 31, INK)
     return frame
+
+
+def _action_text(action: Any, names: Sequence[str]) -> str:
+    """The name of a class, or the first numbers of a vector."""
+    if np.ndim(action):
+        shown = action if len(action) <= NUMBERS else action[: NUMBERS - 1]
+        # Rounded, small negative numbers would read -0.0.
+        numbers = [f"{round(float(number), 1) + 0.0:+.1f}" for number in shown]
+        return " ".join([*numbers, "..."] if len(action) > NUMBERS else numbers)
+    return names[action].replace("_", " ") if action < len(names) else f"action {action}"
 
 
 def _with_outcome(

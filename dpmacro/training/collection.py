@@ -12,17 +12,18 @@ from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from jaxtyping import Bool, Float32, Int64, UInt8
 
 from dpmacro.evaluation.loops import VisitedStates
+from dpmacro.evaluation.recording import true_labels
 from dpmacro.evaluation.rollouts import PlannerSource, one_thread
+from dpmacro.evaluation.stage import Stage
 from dpmacro.policy.planner import MacroPlanner
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils.processes import spread, stopped
-from dpmacro.worlds import expert_of
-from dpmacro.worlds.base import Expert
+from dpmacro.worlds import expert_of, recording_of
+from dpmacro.worlds.base import Expert, GaveUp
 
 __all__ = ["Visit", "gather", "visit"]
 
@@ -34,7 +35,7 @@ class Visit:
     Attributes:
         images: what the planner sees.
         actions: what the teacher would do.
-        phases: of the world.
+        truth: numbers of true labels, by the columns that the world's `Recording` has.
         taught: whether the teacher drove.
         rewards: what step t earned.
         success: whether the run ended well.
@@ -43,7 +44,7 @@ class Visit:
 
     images: UInt8[np.ndarray, "frames height width 3"]
     actions: Int64[np.ndarray, " frames"]
-    phases: Int64[np.ndarray, " frames"]
+    truth: dict[str, Int64[np.ndarray, " frames"]]
     taught: Bool[np.ndarray, " frames"]
     rewards: Float32[np.ndarray, " frames"]
     success: bool
@@ -57,7 +58,7 @@ def gather(
 
     Args:
         source: the policy that drives; its recovery stays off, so that circles are noticed.
-        world: {"id": of a registered world that has a teacher, **its options}.
+        world: {"id": of a world that has a teacher, shows one camera and takes classes, **its options}.
         seeds: one a run.
         workers: processes, 1 or more.
     """
@@ -70,23 +71,32 @@ def visit(source: PlannerSource, world: Mapping[str, Any], seed: int) -> Visit:
         return _visit(*_stage(source, json.dumps(world)), seed)
 
 
-def _visit(env: gym.Env, planner: MacroPlanner, teacher: Expert, seed: int) -> Visit:
+def _visit(stage: Stage, planner: MacroPlanner, teacher: Expert, seed: int) -> Visit:
+    env, told, [camera] = stage.env, recording_of(stage.world), planner.policy.config.cameras
     observation, info = env.reset(seed=seed)
     planner.reset(env)
     teacher.reset(env)
-    images, actions, phases, taught, rewards, agreed = [], [], [], [], [], []
+    images, truth, taught, rewards, agreed = [], [], [], [], []
+    actions: list[int] = []
     teaching, ended, visited = False, False, VisitedStates()
     visited.visit(info, planner)
     while not ended and not stopped():
-        wanted, chosen = teacher.act(observation, info), planner.act(observation, info)
+        when = f"at step {len(actions)} of the run of seed {seed}"
+        shown = stage.shown(observation, when)
+        try:
+            wanted = teacher.act(observation, info)
+        except GaveUp:
+            break
+        chosen = planner.act(shown, info)
         if teaching:
             planner.took(wanted)
-        images.append(observation["pixels"])
-        phases.append(info["phase"])
+        images.append(shown[camera])
+        truth.append(true_labels(told, teacher, info))
         actions.append(wanted)
         agreed.append(wanted == chosen)
         taught.append(teaching)
-        observation, reward, terminated, truncated, info = env.step(wanted if teaching else chosen)
+        done, _ = stage.does.of(wanted if teaching else chosen, when)
+        observation, reward, terminated, truncated, info = env.step(done)
         rewards.append(reward)
         ended = bool(terminated or truncated)
         if reward > 0 and teaching:
@@ -97,19 +107,18 @@ def _visit(env: gym.Env, planner: MacroPlanner, teacher: Expert, seed: int) -> V
     return Visit(
         images=np.stack(images),
         actions=np.array(actions, np.int64),
-        phases=np.array(phases, np.int64),
+        truth={name: np.array([one[name] for one in truth], np.int64) for name in told.truth},
         taught=np.array(taught),
         rewards=np.array(rewards, np.float32),
-        success=bool(info["is_success"]),
+        success=stage.rule.judge(info, rewards[-1], sum(rewards), bool(terminated))[0],
         agreed=np.array(agreed),
     )
 
 
 @functools.cache
-def _stage(source: PlannerSource, world: str) -> tuple[gym.Env, MacroPlanner, Expert]:
+def _stage(source: PlannerSource, world: str) -> tuple[Stage, MacroPlanner, Expert]:
     """One world, given as JSON, and planner a process, for one run after another."""
-    options = json.loads(world)
+    made = json.loads(world)
     assert source.path is not None, "the teacher has nothing to learn from itself"
-    world_id = options.pop("id")
     planner = MacroPlanner(MacroPolicy.load(source.path))
-    return gym.make(world_id, **options), planner, expert_of(world_id)
+    return Stage(planner, made), planner, expert_of(made["id"])

@@ -27,7 +27,8 @@ from dpmacro.training.collection import Visit, gather
 from dpmacro.training.options import DaggerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer, TrainingResult, plain_options
-from dpmacro.worlds import EXPERTS, recording_of
+from dpmacro.worlds import EXPERTS, entry_of, recording_of
+from dpmacro.worlds.making import import_package
 
 __all__ = ["DRIVERS", "Iteration", "aggregate"]
 
@@ -59,13 +60,21 @@ def aggregate(
     is a run of its own in `<folder>/iterations/<number>`, the gathered demonstrations are the LeRobot dataset
     `<folder>/gathered`, and the best planner is the run's checkpoint.
 
-    Raises ValueError where the demonstrations name no world that has a teacher.
+    Raises ValueError where the demonstrations name no world that has a teacher, see anything but one camera,
+    or have vectors as actions.
     """
     dagger = options.dagger
-    if demonstrations.world.get("id") not in EXPERTS:
+    import_package(demonstrations.world)
+    if entry_of(EXPERTS, str(demonstrations.world.get("id"))) is None:
         raise ValueError(
             f"{demonstrations.root} was recorded in the world {demonstrations.world.get('id')!r}: "
             f"--dagger.iterations needs one whose teacher can be asked, {' or '.join(EXPERTS)}"
+        )
+    if demonstrations.vector or list(demonstrations.observations) != list(demonstrations.cameras[:1]):
+        raise ValueError(
+            f"{demonstrations.root} has {', '.join(demonstrations.observations)} and actions of "
+            f"{'vectors' if demonstrations.vector else 'classes'}: --dagger.iterations needs one camera, "
+            "chosen by --dataset.inputs, and classes"
         )
     runs = folder.path / "iterations"
     result = Trainer(demonstrations, options, RunFolder(runs / "0")).train()
@@ -142,7 +151,7 @@ def _writer(root: Path, demonstrations: Demonstrations) -> DemonstrationWriter:
 
 
 def _add(writer: DemonstrationWriter, visit: Visit, task: str) -> None:
-    truth = {"phase": visit.phases, "driver": visit.taught.astype(np.int64)}
+    truth = {**visit.truth, "driver": visit.taught.astype(np.int64)}
     writer.add_episode(visit.images, visit.actions, truth, visit.rewards, visit.success, task)
 
 

@@ -1,7 +1,8 @@
 """The scripts' command lines: options as dataclasses, and one line and exit status 2 for a user's mistake.
 
 Options are LeRobot's own kind (draccus): ``--group.field=value`` for every field of a dataclass,
-``--config_path=file.json`` for a whole file of them, later flags overriding it.
+``--config_path=file.json`` for a whole file of them, later flags overriding it. A group whose class names a
+field in `OTHERS` takes options of any name as well. A field that ends in an underscore is given without it.
 """
 
 import difflib
@@ -12,7 +13,7 @@ import warnings
 from argparse import ArgumentParser as Argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import Field
+from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import Any, NoReturn, TextIO, TypeVar
 
@@ -28,6 +29,8 @@ Config = TypeVar("Config")
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
+OTHERS = "OTHERS"  # of a group of options
+EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 PACKAGE = Path(__file__).resolve().parents[1]
 BARE_LIST = re.compile(r"input for a list type|Expected \d+ items|has no len\(\)")
 
@@ -49,14 +52,16 @@ def parse(config_class: type[Config], arguments: Sequence[str] | None = None) ->
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     arguments = [re.sub("^--config_path=~(?=/|$)", f"--config_path={Path.home()}", one) for one in arguments]
     parser: ArgumentParser = ArgumentParser(config_class, allow_abbrev=False)
+    _drop_underscores(parser)
 
     def fail(message: str) -> NoReturn:
         raise ValueError(_with_suggestion(message, parser))
 
     parser.parser.error = fail
     _check_readable(arguments)
+    arguments, others = _apart(arguments, config_class, parser)
     try:
-        return parser.parse_args(arguments)
+        return _with_others(parser.parse_args(arguments), others)
     except (DraccusException, DecodingError) as error:
         raise ValueError(_root_message(error)) from error
 
@@ -107,6 +112,56 @@ def _warnings_in_a_line(script: str) -> Iterator[None]:
 
         warnings.showwarning = show
         yield
+
+
+def _drop_underscores(parser: ArgumentParser) -> None:
+    """`--world.import_`, whose field may not be called as a word of Python, becomes `--world.import`."""
+    known = parser.parser._option_string_actions
+    for action in parser.parser._actions:
+        for name in [name for name in action.option_strings if name.endswith("_")]:
+            action.option_strings[action.option_strings.index(name)] = name.rstrip("_")
+            known[name.rstrip("_")] = known.pop(name)
+
+
+def _apart(
+    arguments: Sequence[str], config_class: type, parser: ArgumentParser
+) -> tuple[list[str], dict[str, dict[str, Any]]]:
+    """The arguments that are listed, and the others of groups that take any, as values by group and name.
+
+    A group takes any where its class names the field for them, a mapping, in `OTHERS`.
+    """
+    known = parser.parser._option_string_actions
+    taking = {one.name for one in fields(config_class) if hasattr(one.type, OTHERS)}
+    listed: list[str] = []
+    others: dict[str, dict[str, Any]] = {}
+    waiting = list(arguments)
+    while waiting:
+        argument = waiting.pop(0)
+        option, given, value = argument.partition("=")
+        group, _, name = option.removeprefix("--").partition(".")
+        if not option.startswith("--") or group not in taking or option in known or not name:
+            listed.append(argument)
+            continue
+        if not given:
+            if not waiting or waiting[0].startswith("--"):
+                raise ValueError(f"{option} has no value: give one, like {option}=1")
+            value = waiting.pop(0)
+        others.setdefault(group, {})[name] = _value(value)
+    return listed, others
+
+
+def _value(text: str) -> Any:
+    """What YAML makes of a text; also of a number like 1e-3, which YAML wants a point in."""
+    return float(text) if EXPONENT.fullmatch(text) else cfgparsing.parse_string(text)
+
+
+def _with_others(config: Config, others: dict[str, dict[str, Any]]) -> Config:
+    made: Any = config
+    for group, given in others.items():
+        own = getattr(made, group)
+        name = getattr(own, OTHERS)
+        made = replace(made, **{group: replace(own, **{name: {**getattr(own, name), **given}})})
+    return made
 
 
 def _check_readable(arguments: Sequence[str]) -> None:

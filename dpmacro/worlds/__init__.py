@@ -1,43 +1,103 @@
-"""Worlds to demonstrate and act in; importing this registers them with gymnasium."""
+"""Worlds to demonstrate and act in; importing this registers them with gymnasium.
 
+Any world that is registered with gymnasium can be run. What the package knows of a world beside that stands
+in the tables below, under the world's id, or under a family of ids that begins alike: its name then ends in
+"/" or "-". A package that brings a world with an expert of its own adds to these tables when it is imported.
+"""
+
+from collections.abc import Mapping
 from pkgutil import resolve_name
+from typing import Any
 
 import gymnasium as gym
 
-from dpmacro.worlds.base import Diagnosis, Expert, Recording, SuccessOrFailure
+from dpmacro.worlds.base import Diagnosis, Expert, GenericDiagnosis, Recording
+from dpmacro.worlds.metaworld import FAMILY, TASKS
 
-# The environment truncates itself and guards the order of its calls, so it needs none of the wrappers.
+__all__ = [
+    "DEFAULT",
+    "DIAGNOSES",
+    "EXPERTS",
+    "MAKERS",
+    "OPTIONS",
+    "RECORDINGS",
+    "diagnosis_of",
+    "entry_of",
+    "expert_of",
+    "recording_of",
+]
+
+DEFAULT = "TwoFlags-v0"
+"""The world that runs where nothing names one."""
+
+# The environments truncate themselves and guard the order of their calls, so they need none of the wrappers.
 gym.register(
-    id="TwoFlags-v0",
+    id=DEFAULT,
     entry_point="dpmacro.worlds.two_flags.env:TwoFlagsEnv",
     order_enforce=False,
     disable_env_checker=True,
 )
+for _task in TASKS:
+    gym.register(
+        id=FAMILY + _task,
+        entry_point="dpmacro.worlds.metaworld:MetaWorld",
+        kwargs={"task": _task},
+        order_enforce=False,
+        disable_env_checker=True,
+    )
 
-DIAGNOSES = {"TwoFlags-v0": "dpmacro.worlds.two_flags.diagnosis:TwoFlagsDiagnosis"}
+DIAGNOSES = {DEFAULT: "dpmacro.worlds.two_flags.diagnosis:TwoFlagsDiagnosis"}
 """From a world's gymnasium id to the class of its `Diagnosis`, as gymnasium writes entry points."""
 
-EXPERTS = {"TwoFlags-v0": "dpmacro.worlds.two_flags.teacher:Teacher"}
+EXPERTS = {
+    DEFAULT: "dpmacro.worlds.two_flags.teacher:Teacher",
+    FAMILY: "dpmacro.worlds.metaworld:ScriptedExpert",
+    "BabyAI-": "dpmacro.worlds.babyai:Bot",
+}
 """Likewise to the class of its `Expert`, in worlds that have one."""
 
-RECORDINGS = {"TwoFlags-v0": "dpmacro.worlds.two_flags.recording:RECORDING"}
-"""Likewise to its `Recording`, in worlds that have an expert."""
+RECORDINGS = {
+    DEFAULT: "dpmacro.worlds.two_flags.recording:recording",
+    FAMILY: "dpmacro.worlds.metaworld:recording",
+    "BabyAI-": "dpmacro.worlds.babyai:recording",
+}
+"""Likewise to a function from the id to its `Recording`, in worlds that have an expert."""
+
+MAKERS = {"BabyAI-": "dpmacro.worlds.babyai:make"}
+"""Likewise to what makes the environment in place of `gymnasium.make`, called as that is."""
+
+OPTIONS = {
+    DEFAULT: "dpmacro.worlds.two_flags.env:complete_options",
+    FAMILY: "dpmacro.worlds.metaworld:complete_options",
+}
+"""Likewise to a function from some of the world's options, by name, to all of them, checked."""
+
+
+def entry_of(table: Mapping[str, str], world: str) -> Any:
+    """Return what a table holds for the world of this id or, failing that, its family; None for neither."""
+    families = sorted((name for name in table if name[-1] in "/-" and world.startswith(name)), key=len)
+    known = [name for name in (*families, world) if name in table]
+    return resolve_name(table[known[-1]]) if known else None
 
 
 def diagnosis_of(world: str) -> Diagnosis:
-    """Return what names outcomes and causes in the world of this id; `SuccessOrFailure` for one without."""
-    return resolve_name(DIAGNOSES[world])() if world in DIAGNOSES else SuccessOrFailure()
+    """Return what names outcomes and causes in the world of this id; `GenericDiagnosis` for one without."""
+    return (entry_of(DIAGNOSES, world) or GenericDiagnosis)()
 
 
 def expert_of(world: str) -> Expert:
     """Return a new expert of the world of this id. Raises ValueError for a world without."""
-    if world not in EXPERTS:
-        raise ValueError(f"world {world!r} has no teacher: choose among {', '.join(EXPERTS)}")
-    return resolve_name(EXPERTS[world])()
+    return _known(EXPERTS, world)()
 
 
 def recording_of(world: str) -> Recording:
     """Return what recordings of the world of this id say beside what was seen and done; errors likewise."""
-    if world not in RECORDINGS:
-        raise ValueError(f"world {world!r} has no teacher: choose among {', '.join(RECORDINGS)}")
-    return resolve_name(RECORDINGS[world])
+    return _known(RECORDINGS, world)(world)
+
+
+def _known(table: Mapping[str, str], world: str) -> Any:
+    found = entry_of(table, world)
+    if found is None:
+        have = ", ".join(name + "..." * (name[-1] in "/-") for name in table)
+        raise ValueError(f"world {world!r} has no teacher: choose among {have}")
+    return found

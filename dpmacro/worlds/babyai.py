@@ -4,16 +4,16 @@ The bot of the package minigrid keeps a stack of subgoals; the one on top choose
 is tells the true macro-action of a frame, without a person's judgement.
 """
 
-import functools
 import io
-from collections.abc import Callable
+from collections.abc import Mapping
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
-from jaxtyping import Float32, Int64, UInt8
+
+from dpmacro.worlds.base import GaveUp, Recording
+
+__all__ = ["ACTIONS", "LEVELS", "SUBGOALS", "Bot", "check_level", "make", "recording"]
 
 # Small levels whose plans have two to five classes of subgoals, and which the bot solves fast and reliably.
 LEVELS = (
@@ -30,65 +30,68 @@ GO_NEXT_TO = SUBGOALS.index("GoNextTo")
 MAX_PUSHES = 1000  # subgoals pushed for one action: a dozen or so, unless the bot never stops planning
 
 
-@dataclass(frozen=True)
-class Run:
-    """A successful run of the bot; frame t holds the observation before action t.
+class Bot:
+    """The bot of minigrid as an expert, who tells the subgoal that its last action belongs to.
 
     Attributes:
-        images: what the agent sees, the 7x7 cells before it, in its own cell what it carries.
-        actions: numbers in ACTIONS.
-        rewards: what every action earned: 0 but for the last, which earned more than 0.
-        subgoals: numbers in SUBGOALS, of the subgoal that chose the action: the top of the bot's stack as
-            its replanning ends. "Explore" never is one, since it always calls for another.
-        purposes: numbers in SUBGOALS, of the topmost subgoal on the same stack that is no "GoNextTo": what
-            the walk is for; "GoNextTo" where there is none.
-        mission: the task in words.
+        subgoal: number in SUBGOALS, of the subgoal that chose the action: the top of the bot's stack as its
+            replanning ends. "Explore" never is one, since it always calls for another.
+        purpose: number in SUBGOALS, of the topmost subgoal on the same stack that is no "GoNextTo": what the
+            walk is for; "GoNextTo" where there is none.
+        task: the mission in words.
     """
 
-    images: UInt8[np.ndarray, "frames height width 3"]
-    actions: Int64[np.ndarray, " frames"]
-    rewards: Float32[np.ndarray, " frames"]
-    subgoals: Int64[np.ndarray, " frames"]
-    purposes: Int64[np.ndarray, " frames"]
-    mission: str
+    def __init__(self) -> None:
+        self.subgoal = self.purpose = GO_NEXT_TO
+        self.task = ""
+
+    def reset(self, env: gym.Env) -> None:
+        """Begin an episode of a level that was just reset; raises ValueError for another world."""
+        from minigrid.utils.baby_ai_bot import BabyAIBot
+
+        mission = getattr(env.unwrapped, "mission", None)
+        if mission is None:
+            raise ValueError(f"the teacher was given {type(env.unwrapped).__name__}: it teaches BabyAI only")
+        self.task = str(mission)
+        self._bot = BabyAIBot(env)
+
+    def act(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
+        """The action to take. Raises GaveUp where the bot knows none."""
+        self._bot.stack = _Plan(self._bot.stack)
+        try:
+            action = int(self._bot.replan())
+        except Exception as error:  # the bot checks little: a situation it cannot handle raises any kind
+            raise GaveUp(f"the bot raised {error!r}") from error
+        if not self._bot.stack:
+            raise GaveUp("the bot takes the mission for accomplished")
+        plan = self._bot.stack.classes()
+        self.subgoal, self.purpose = plan[-1], _purpose(plan)
+        return action
 
 
-def run_bot(level: str, seed: int, tile: int = 8) -> Run | None:
-    """The bot's run in a level (a gymnasium id); None where it fails, gives up, or time runs out.
+def make(level: str, *, tile: int = 8, **options: Any) -> gym.Env:
+    """The level of this id, as the agent sees it: RGB images of the 7x7 cells before it, in its own cell what
+    it carries, 7 * `tile` pixels high and wide.
 
-    Images are 7 * `tile` pixels high and wide. Raises ValueError where minigrid is missing or has no such
-    level.
+    Raises ValueError where minigrid is missing or has no such level.
     """
     check_level(level)
-    env, make_bot = _stage(level, tile)
-    with redirect_stdout(io.StringIO()):  # it prints the missions that it rejects
-        observation, _ = env.reset(seed=seed)
-    bot = make_bot(env)
-    images, actions, rewards, plans = [], [], [], []
-    ended = False
-    while not ended:
-        bot.stack = _Plan(bot.stack)
-        try:
-            action = int(bot.replan())
-        except Exception:  # the bot checks little: a situation it cannot handle raises any kind of error
-            return None
-        if not bot.stack:  # it takes the mission for accomplished
-            return None
-        plans.append(bot.stack.classes())
-        images.append(observation["image"])
-        actions.append(action)
-        observation, reward, terminated, truncated, _ = env.step(action)
-        rewards.append(reward)
-        ended = terminated or truncated
-    if rewards[-1] <= 0:
-        return None
-    return Run(
-        images=np.stack(images),
-        actions=np.array(actions, np.int64),
-        rewards=np.array(rewards, np.float32),
-        subgoals=np.array([plan[-1] for plan in plans], np.int64),
-        purposes=np.array([_purpose(plan) for plan in plans], np.int64),
-        mission=str(observation["mission"]),
+    from minigrid.wrappers import RGBImgPartialObsWrapper
+
+    if not isinstance(tile, int) or not 1 <= tile <= 32:
+        raise ValueError(f"BabyAI: tile is {tile!r}: give 1 to 32 pixels")
+    return _Quiet(RGBImgPartialObsWrapper(gym.make(level, **options), tile_size=tile))
+
+
+def recording(world: str) -> Recording:
+    """What recordings of a level say, `world` its id."""
+    check_level(world)
+    return Recording(
+        task=world,
+        truth={"subgoal": SUBGOALS, "purpose": SUBGOALS},
+        actions=ACTIONS,
+        fps=10,
+        observations={"observation.images.avatar": "image"},
     )
 
 
@@ -125,10 +128,11 @@ class _Plan(list[Any]):
         return [SUBGOALS.index(type(subgoal).__name__.removesuffix("Subgoal")) for subgoal in self]
 
 
-@functools.cache
-def _stage(level: str, tile: int) -> tuple[gym.Env, Callable[[gym.Env], Any]]:
-    """The level, for one run after another, and what makes a bot for a mission that was just reset."""
-    from minigrid.utils.baby_ai_bot import BabyAIBot
-    from minigrid.wrappers import RGBImgPartialObsWrapper
+class _Quiet(gym.Wrapper):
+    """Prints nothing as it is reset, where minigrid prints the missions that it rejects."""
 
-    return RGBImgPartialObsWrapper(gym.make(level), tile_size=tile), BabyAIBot
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        with redirect_stdout(io.StringIO()):
+            return self.env.reset(seed=seed, options=options)

@@ -14,7 +14,7 @@ import pytest
 
 from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes, replay, run_episodes
 from dpmacro.worlds import DIAGNOSES
-from dpmacro.worlds.base import Episode
+from dpmacro.worlds.base import Episode, WorldError
 from dpmacro.worlds.two_flags.env import FORWARD, TURN_LEFT, TURN_RIGHT
 
 WORLD = "tests.evaluation.test_rollouts:Corridor-v0"
@@ -325,7 +325,7 @@ def test_a_teacher_whose_flag_is_hidden_turns_once():
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_what_a_run_raises_keeps_its_message(workers):
-    with pytest.raises(RuntimeError, match="the corridor collapsed at step 4"):
+    with pytest.raises(WorldError, match="RuntimeError: the corridor collapsed at step 4, at step 3 of"):
         run_episodes(Strolling("teacher"), {"id": WORLD, "raise_at": 4}, [0, 1, 2], workers)
     with pytest.raises(ValueError, match="nowhere holds no planner"):
         run_episodes(Strolling("policy", Path("nowhere")), {"id": WORLD}, [0], workers)

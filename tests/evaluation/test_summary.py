@@ -1,11 +1,13 @@
 """What a number of runs amounts to: text, LeRobot's eval_info.json, TensorBoard scalars."""
 
+from dataclasses import replace
+
 import numpy as np
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from dpmacro.evaluation.summary import eval_info, run_text, write_scalars
+from dpmacro.evaluation.summary import clipped_share, eval_info, run_notes, run_text, write_scalars
 from dpmacro.metrics.success import success_summary
-from dpmacro.worlds.base import Episode
+from dpmacro.worlds.base import NO_PHASE, Episode
 
 OUTCOMES = ["success", "red_first", "red_never_reached", "red_first"]
 CAUSES = ["", "red_in_the_way", "change_missed", "red_in_the_way"]
@@ -51,6 +53,28 @@ def test_the_text_counts_endings_causes_and_loops():
 def test_without_a_failure_no_cause_is_told():
     text = run_text(success_summary(["success"], [1], [1]), 1.0, [""], 0)
     assert "causes" not in text and "loops" not in text and "failures    0" in text
+
+
+def test_a_world_without_phases_has_none_in_the_text():
+    summary = success_summary(["out_of_time", "ended"], [NO_PHASE, NO_PHASE], [2, -1])
+    text = run_text(summary, 1.0, ["no_motion", "ended"], 0)
+    assert "phase" not in text
+    assert "      1     out of time         , macro-action 2\n      1     ended\ncauses" in text
+
+
+def test_notes_say_what_told_success_and_how_much_was_clipped():
+    classes = episodes()
+    assert run_notes(classes) == []
+    signs = ['info["success"]', "rewards of 3 or more in sum"]
+    vectors = [
+        replace(episode, actions=np.zeros((3, 2), np.float32), clipped=clipped, success_by=sign)
+        for episode, clipped, sign in zip(classes[:2], (0, 2), signs, strict=True)
+    ]
+    assert clipped_share(vectors) == 2 / 6
+    assert run_notes(vectors) == [
+        'told by     info["success"] and rewards of 3 or more in sum',
+        "clipped     33.3% of steps had an action beyond what the world takes",
+    ]
 
 
 def test_the_information_is_lerobots_with_a_section_of_our_own():

@@ -5,9 +5,17 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from dpmacro.evaluation.videos import OTHER_OUTCOME, STRIP, WIDTH, drawn_run, write_run, write_video
+from dpmacro.evaluation.videos import (
+    OTHER_OUTCOME,
+    STRIP,
+    WIDTH,
+    _action_text,
+    drawn_run,
+    write_run,
+    write_video,
+)
 from dpmacro.figures import OUTCOME_COLOURS, macro_colour
-from dpmacro.worlds.base import Moment
+from dpmacro.worlds.base import NO_PHASE, Moment
 
 
 def run(steps=20, macros=(0, 1), outcome="red_first", height=240):
@@ -66,6 +74,18 @@ def test_the_strip_holds_the_longest_words():
     frame = next(drawn_run([moment] * 1, ["turn right by 0.6 deg"]))[480:]
     dark = (frame.max(-1) < 120).any(0)
     assert not dark[180:196].any() and not dark[290:308].any() and not dark[515:528].any()
+
+
+@pytest.mark.parametrize("size", [2, 4, 9])
+def test_the_strip_holds_the_numbers_of_a_vector_and_no_phase(size):
+    moment = Moment(NO_PHASE, np.full(size, -10.04), 0, 0.0, "", np.zeros((240, 320, 3), np.uint8))
+    frame = next(drawn_run([moment]))[480:]
+    dark = (frame.max(-1) < 120).any(0)
+    assert not dark[180:196].any() and dark[200:500].any() and not dark[515:528].any()
+
+
+def test_numbers_that_round_to_nothing_have_no_sign_of_it():
+    assert _action_text(np.array([-0.01, 0.26]), ()) == "+0.0 +0.3"
 
 
 @pytest.mark.parametrize(

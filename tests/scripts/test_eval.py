@@ -11,6 +11,8 @@ from pathlib import Path
 import av
 import pytest
 import torch
+from reaching import WORLD as REACH
+from reaching import constant_policy
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dpmacro.boosting.learners.stumps import StumpClassifier
@@ -75,7 +77,7 @@ def test_the_teacher_as_a_command(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "successes   0 of 3 runs" in done.stdout
     low, high = wilson_interval(0, 3)
-    assert "      3     out of time\nwritten to" in done.stdout
+    assert '      3     out of time\ntold by     info["is_success"]\nwritten to' in done.stdout
     assert f"0.0%, 95% Wilson interval {low:.1%} to {high:.1%}" in done.stdout
     assert "3/3" in done.stderr and "success 0%" in done.stderr
 
@@ -97,7 +99,7 @@ def test_the_teacher_as_a_command(tmp_path):
     assert len(overall["video_paths"]) == 2
     for path in overall["video_paths"]:
         with av.open(path) as video:
-            assert sum(1 for _ in video.decode(video=0)) == 60 // 4 + 45
+            assert sum(1 for _ in video.decode(video=0)) == 60 + 45
     events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
     assert events.Scalars("eval/pc_success")[0].value == 0.0
     assert "eval/avg_sum_reward" in events.Tags()["scalars"]
@@ -183,7 +185,7 @@ def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
         )
         for seed, outcome in enumerate(["success", "red_first", "success", "red_never_reached"])
     ]
-    paths = script.write_videos(None, {}, episodes, 3, tmp_path)
+    paths = script.write_videos(None, {"id": "Room-v0"}, episodes, 3, tmp_path)
     assert filmed == [1, 3, 0]
     assert [Path(path).name for path in paths] == [f"eval_episode_{index}.mp4" for index in (1, 3, 0)]
 
@@ -201,7 +203,12 @@ def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
         (["--policy.type=teacher", "--seed=-1"], "--seed=-1: it must be at least 0"),
         (["--policy.type=teacher", "--episodes=many"], "many"),
         (["--policy.type=teacher", "--world.flags=none"], "choose 'random' or 'fixed'"),
-        (["--policy.type=teacher", "--world.walls=3"], "unknown option --world.walls"),
+        (["--policy.type=teacher", "--world.walls=3"], "TwoFlags has no option 'walls': choose among flags"),
+        (["--policy.type=teacher", "--world.walls"], "--world.walls has no value: give one"),
+        (["--policy.type=teacher", "--world.max_steps=many"], "max_steps is 'many': give a value like 3000"),
+        (["--policy.type=teacher", "--world.observations=[arm]"], "--world.observations has 'arm'"),
+        (["--policy.type=teacher", "--world.id=Nowhere-v0"], "world 'Nowhere-v0' has no teacher"),
+        (["--policy.type=teacher", "--world.import=no_such"], "--world.import=no_such cannot be imported"),
         (["--policy.type=teacher", "--episods=3"], "did you mean --episodes?"),
         (["--policy.type=teacher", "--policy.recovery=false"], "--policy.recovery=False is for saved"),
         (["--segmentation", "--policy.path=x"], "unknown option --segmentation"),
@@ -219,17 +226,116 @@ def test_bad_options_are_one_line_and_status_2(options, message, script, tmp_pat
 @pytest.mark.parametrize(
     ("world", "message"),
     [
-        ({"id": "Maze-v1"}, "policy for the world 'Maze-v1': eval.py runs 'TwoFlags-v0' only"),
-        ({}, "policy for the world None"),
-        ({"id": "TwoFlags-v0", "fog": 0.3}, "with 'fog', which this one lacks"),
+        ({"id": "Maze-v1"}, "there is no world 'Maze-v1'"),
+        ({}, "name no world to run in: give one by --world.id="),
+        ({"id": "TwoFlags-v0", "fog": 0.3}, "TwoFlags has no option 'fog'"),
+        (
+            {"id": "CartPole-v1"},
+            "CartPole-v1 takes one of 2 actions, and the policy gives one of 3",
+        ),
+        ({"id": "MountainCar-v0"}, "the world MountainCar-v0 shows no observation.image"),
     ],
 )
-def test_a_policy_of_another_world_is_refused(world, message, script, tmp_path, monkeypatch, capsys):
+def test_a_policy_that_does_not_fit_its_world_is_refused(
+    world, message, script, tmp_path, monkeypatch, capsys
+):
     random_policy(world).save(tmp_path)
     with pytest.raises(SystemExit) as exit_:
-        call(script, monkeypatch, f"--policy.path={tmp_path}", "--episodes=1")
+        options = [f"--policy.path={tmp_path}", "--episodes=1", f"--output_dir={tmp_path / 'out'}"]
+        call(script, monkeypatch, *options)
+    assert not (tmp_path / "out").exists()
     error = capsys.readouterr().err
     assert exit_.value.code == 2 and error.count("\n") == 1 and message in error
+
+
+@pytest.fixture
+def reach(tmp_path):
+    return constant_policy(tmp_path / "policy")
+
+
+def test_a_policy_of_vectors_in_any_world(script, reach, tmp_path, monkeypatch, capsys):
+    out, options = tmp_path / "out", ["--episodes=3", "--workers=2", "--videos=1", "--world.goal=2e0"]
+    call(script, monkeypatch, f"--policy.path={reach}", *options, f"--output_dir={out}")
+    printed = capsys.readouterr().out
+    assert "sees        observation.state from agent_pos\n" in printed
+    assert 'told by     info["success"]\n' in printed and "successes   3 of 3 runs" in printed
+    assert "clipped     100.0% of steps had an action beyond what the world takes\n" in printed
+    info = json.loads((out / "eval_info.json").read_text())
+    ours = info["dpmacro"]
+    assert ours["success_by"] == ['info["success"]'] and ours["world"] == {"id": REACH, "goal": 2.0}
+    assert ours["clipped_share"] == 1 and ours["clipped_steps"] == ours["steps"]
+    assert ours["first_successes"] == [steps - 1 for steps in ours["steps"]] and ours["periods"] == [0] * 3
+    [video] = info["overall"]["video_paths"]
+    assert Path(video).parent.name == "reaching_Reach-v0_0"
+    with av.open(video) as film:
+        assert sum(1 for _ in film.decode(video=0)) == ours["steps"][0] + 45
+
+
+def test_another_world_takes_none_of_the_options_of_the_demonstrations(script, tmp_path, monkeypatch):
+    policy = constant_policy(tmp_path / "policy", world={"id": "Elsewhere-v0", "fog": 1})
+    options = [f"--world.id={REACH}", "--world.import=reaching", "--world.success=success", "--episodes=1"]
+    options.append("--world.observations=[observation.state=agent_pos]")
+    call(script, monkeypatch, f"--policy.path={policy}", *options, f"--output_dir={tmp_path / 'out'}")
+    ours = json.loads((tmp_path / "out/eval_info.json").read_text())["dpmacro"]
+    assert ours["world"] == {
+        "id": REACH,
+        "import": "reaching",
+        "observations": {"observation.state": "agent_pos"},
+        "success": "success",
+    }
+    assert ours["outcomes"] == ["success"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--world.raise_at=2"], "raised RuntimeError: the arm fell off, at step 1 of the run of seed 2"),
+        (["--world.nan_at=1"], "shows agent_pos with nan as number 1 at step 0 of the run of seed 2"),
+    ],
+)
+def test_runs_before_an_error_are_kept(script, reach, options, message, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "out"
+    given = [f"--policy.path={reach}", "--seed=0", "--episodes=5", f"--output_dir={out}"]
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, *given, "--world.bad_seed=2", *options)
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert exit_.value.code == 2 and message in last
+    assert last.endswith(f"the 2 runs before it are kept in {out / script.PARTIAL}")
+    assert [path.name for path in out.iterdir()] == [script.PARTIAL]
+    ours = json.loads((out / script.PARTIAL).read_text())["dpmacro"]
+    assert ours["seeds"] == [0, 1] and ours["wanted_episodes"] == 5
+    call(script, monkeypatch, *given)
+    assert sorted(path.name for path in out.iterdir()) == ["eval_info.json", "tensorboard"]
+
+
+def test_runs_before_an_interrupt_are_kept(script, reach, tmp_path, monkeypatch):
+    def interrupted(source, world, seeds, workers):
+        yield from script.iter_episodes(source, world, [0, 1], 1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(script, "run", interrupted)
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, f"--policy.path={reach}", f"--output_dir={tmp_path / 'out'}")
+    assert exit_.value.code == 130
+    assert json.loads((tmp_path / "out" / script.PARTIAL).read_text())["dpmacro"]["seeds"] == [0, 1]
+
+
+def test_an_error_before_the_first_run_leaves_no_folder(script, reach, tmp_path, monkeypatch, capsys):
+    options = [f"--policy.path={reach}", "--world.nan_at=0", f"--output_dir={tmp_path / 'out'}"]
+    with pytest.raises(SystemExit):
+        call(script, monkeypatch, *options)
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "nan" in error and "kept" not in error and not (tmp_path / "out").exists()
+
+
+def test_videos_of_a_world_without_pictures_are_refused(script, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("reaching.Reach.metadata", {"render_modes": []})
+    policy = constant_policy(tmp_path / "policy")
+    with pytest.raises(SystemExit):
+        options = ["--videos=2", f"--output_dir={tmp_path / 'out'}"]
+        call(script, monkeypatch, f"--policy.path={policy}", *options)
+    assert "--videos=2, and the world reaching:Reach-v0 renders no pictures" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_results_outlive_videos_that_are_interrupted(script, tmp_path, monkeypatch):

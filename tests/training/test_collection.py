@@ -55,7 +55,7 @@ def test_every_frame_has_the_teachers_action(spun):
 
 
 def test_frame_t_is_seen_before_step_t(spun):
-    before = spun.phases[np.flatnonzero(spun.rewards > 0)]
+    before = spun.truth["phase"][np.flatnonzero(spun.rewards > 0)]
     assert before.tolist() == [0, 1]
     assert spun.images.shape == (len(spun.actions), 48, 64, 3)
     assert np.array_equal(spun.images[0], spun.images[600])  # after a whole turn
@@ -65,7 +65,7 @@ def test_a_run_ends_where_the_teacher_turns_in_circles_too(tmp_path):
     lost = visit(stubborn(tmp_path, TURN_RIGHT), WORLD, HIDDEN_SEED)
     assert not lost.success
     assert 1200 <= len(lost.actions) <= 1206
-    assert (lost.phases == 0).all()
+    assert (lost.truth["phase"] == 0).all()
 
 
 def test_runs_do_not_depend_on_the_number_of_processes(tmp_path):

@@ -14,13 +14,13 @@ from dpmacro.annotation.annotate import annotate
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.lerobot.writer import DemonstrationWriter
 from dpmacro.data.synthetic import digits
+from dpmacro.evaluation.recording import run_expert
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.segmentation.segments import transition_counts
 from dpmacro.training import trainer as training
 from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.worlds.babyai import ACTIONS as MOVES
-from dpmacro.worlds.babyai import run_bot
 from dpmacro.worlds.two_flags.teacher import Teacher
 
 SMALL = {"rounds": 20, "restarts": 1, "rectangles": 150, "switch_rounds": 20, "shrinkage": 0.3}
@@ -66,10 +66,12 @@ def two_flags(folder):
 def babyai(folder):
     """Runs of the bot that opens a door: walking to the door, and what comes with the key."""
     pytest.importorskip("minigrid")
-    runs = [run for run in (run_bot("BabyAI-UnlockLocal-v0", seed, 4) for seed in range(10)) if run]
-    parts = (np.concatenate([getattr(run, name) for run in runs]) for name in ("images", "actions"))
+    world = {"id": "BabyAI-UnlockLocal-v0", "tile": 4}
+    runs = [run for run in (run_expert(world, seed) for seed in range(10)) if run]
+    images = np.concatenate([run.observations["observation.images.avatar"] for run in runs])
+    actions = np.concatenate([run.actions for run in runs])
     return Demonstrations.of_images(
-        *parts, np.array([len(run.actions) for run in runs]), MOVES, 10, None, {}, folder
+        images, actions, np.array([len(run.actions) for run in runs]), MOVES, 10, None, {}, folder
     )
 
 

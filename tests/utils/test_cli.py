@@ -5,6 +5,7 @@ import sys
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 
@@ -160,3 +161,60 @@ def test_a_warning_and_a_mistake_are_a_line_each(monkeypatch, capsys):
     with pytest.raises(SystemExit):
         cli.run(main, Options)
     assert capsys.readouterr().err.splitlines() == ["warning: careful", "error: too late"]
+
+
+@dataclass(frozen=True)
+class Room:
+    """A group that takes options of any name."""
+
+    OTHERS: ClassVar[str] = "options"
+    size: int = 1
+    """Size of the room."""
+    import_: str | None = None
+    """A word of Python."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """What else there is."""
+
+
+@dataclass(frozen=True)
+class House:
+    """Options with such a group."""
+
+    room: Room = field(default_factory=Room)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], Room()),
+        (["--room.size=3", "--room.import=a.b"], Room(3, "a.b")),
+        (["--room.fog=0.5", "--room.size=2"], Room(2, None, {"fog": 0.5})),
+        (["--room.wall", "brick", "--room.tiles=[1, 2]"], Room(1, None, {"wall": "brick", "tiles": [1, 2]})),
+        (["--room.options={fog: 1, sun: 2}", "--room.fog=3"], Room(1, None, {"fog": 3, "sun": 2})),
+        (["--room.rate=1e-3", "--room.up=True"], Room(1, None, {"rate": 0.001, "up": True})),
+        (["--room.name=e3", "--room.path=a=b"], Room(1, None, {"name": "e3", "path": "a=b"})),
+    ],
+)
+def test_a_group_may_take_options_of_any_name(arguments, expected):
+    assert cli.parse(House, arguments).room == expected
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--room.fog"], "--room.fog has no value: give one, like --room.fog=1"),
+        (["--room.fog", "--room.size=1"], "--room.fog has no value"),
+        (["--rooms.fog=1"], "unknown option --rooms.fog"),
+        (["--room.fog=[1"], "cannot be read"),
+    ],
+)
+def test_options_of_any_name_need_a_group_and_a_value(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        cli.parse(House, arguments)
+
+
+def test_a_field_that_ends_in_an_underscore_is_told_without_it(capsys):
+    with pytest.raises(SystemExit):
+        cli.parse(House, ["--help"])
+    told = capsys.readouterr().out
+    assert "--room.import " in told and "import_" not in told

@@ -11,10 +11,19 @@ from minigrid.core.actions import Actions
 from minigrid.utils import baby_ai_bot
 from minigrid.wrappers import RGBImgPartialObsWrapper
 
-from dpmacro.worlds import babyai
-from dpmacro.worlds.babyai import ACTIONS, LEVELS, SUBGOALS, run_bot
+from dpmacro.data.lerobot.writer import AVATAR
+from dpmacro.evaluation import recording
+from dpmacro.evaluation.recording import run_expert
+from dpmacro.evaluation.rollouts import PlannerSource, run_episodes
+from dpmacro.worlds.babyai import ACTIONS, LEVELS, SUBGOALS, Bot, make
 
 PUT_NEXT, UNLOCK_PICKUP, SYNTH = LEVELS[2], LEVELS[4], LEVELS[5]
+
+
+def run_bot(level, seed, tile=8):
+    return run_expert({"id": level, "tile": tile}, seed)
+
+
 DOES = {"pickup": {"Pickup"}, "drop": {"Drop"}, "toggle": {"Open", "Close"}}
 
 
@@ -36,14 +45,15 @@ def test_the_bot_solves_the_level_and_says_what_it_is_about(level):
     solved = [run for run in runs if run is not None]
     assert len(solved) >= 18
     for run in solved:
-        assert run.images.shape == (len(run.actions), 56, 56, 3) and run.images.dtype == np.uint8
-        assert np.all(run.rewards[:-1] == 0) and run.rewards[-1] > 0 and run.mission
-        for action, subgoal, purpose in zip(run.actions, run.subgoals, run.purposes, strict=True):
+        images, purposes = run.observations[AVATAR], run.truth["purpose"]
+        assert images.shape == (len(run.actions), 56, 56, 3) and images.dtype == np.uint8
+        assert np.all(run.rewards[:-1] == 0) and run.rewards[-1] > 0 and run.task
+        for action, subgoal, purpose in zip(run.actions, run.truth["subgoal"], purposes, strict=True):
             assert SUBGOALS[subgoal] in DOES.get(ACTIONS[action], {"GoNextTo"})
             assert purpose == subgoal or SUBGOALS[subgoal] == "GoNextTo"
-    several = [len(set(run.purposes)) > 1 for run in solved]
+    several = [len(set(run.truth["purpose"])) > 1 for run in solved]
     assert np.mean(several) > 0.5
-    assert 2 <= len(set(np.concatenate([run.purposes for run in solved]))) <= 5
+    assert 2 <= len(set(np.concatenate([run.truth["purpose"] for run in solved]))) <= 5
 
 
 def test_frames_hold_the_observation_before_their_action():
@@ -51,8 +61,8 @@ def test_frames_hold_the_observation_before_their_action():
     run = run_bot(UNLOCK_PICKUP, 3, tile=4)
     env = RGBImgPartialObsWrapper(gym.make(UNLOCK_PICKUP), tile_size=4)
     observation, _ = env.reset(seed=3)
-    assert run.mission == observation["mission"]
-    for t, (image, action) in enumerate(zip(run.images, run.actions, strict=True)):
+    assert run.task == observation["mission"]
+    for t, (image, action) in enumerate(zip(run.observations[AVATAR], run.actions, strict=True)):
         assert image.shape == (28, 28, 3) and np.array_equal(image, observation["image"])
         observation, reward, ended, _, _ = env.step(int(action))
         assert ended == (t == len(run.actions) - 1) and np.float32(reward) == run.rewards[t]
@@ -60,22 +70,25 @@ def test_frames_hold_the_observation_before_their_action():
 
 def test_the_plans_are_what_the_missions_ask_for():
     put = run_bot(PUT_NEXT, 0)
-    assert names(put.subgoals) == ["GoNextTo", "Pickup", "GoNextTo", "Drop"]
-    assert [name for name in names(put.purposes) if name != "Explore"] == ["Pickup", "Drop"]
+    assert names(put.truth["subgoal"]) == ["GoNextTo", "Pickup", "GoNextTo", "Drop"]
+    assert [name for name in names(put.truth["purpose"]) if name != "Explore"] == ["Pickup", "Drop"]
     unlock = run_bot(UNLOCK_PICKUP, 0)
     walks = ["Pickup", "Open", "Drop", "Pickup"]  # the key, the door, the key again, what is asked for
-    assert [name for name in names(unlock.subgoals) if name != "GoNextTo"] == walks
-    assert [name for name in names(unlock.purposes) if name != "Explore"] == walks
+    assert [name for name in names(unlock.truth["subgoal"]) if name != "GoNextTo"] == walks
+    assert [name for name in names(unlock.truth["purpose"]) if name != "Explore"] == walks
 
 
 def test_a_seed_repeats_the_run_whatever_ran_before():
     first = run_bot(SYNTH, 1)
     run_bot(SYNTH, 2)
-    babyai._stage.cache_clear()
+    recording._set.cache_clear()
     again = run_bot(SYNTH, 1)
-    for name in ("images", "actions", "rewards", "subgoals", "purposes"):
+    for name in ("actions", "rewards"):
         assert np.array_equal(getattr(first, name), getattr(again, name)), name
-    assert first.mission == again.mission
+    for name in ("observations", "truth"):
+        for key, values in getattr(first, name).items():
+            assert np.array_equal(values, getattr(again, name)[key]), key
+    assert first.task == again.task
     assert not np.array_equal(run_bot(SYNTH, 3).actions, first.actions)
 
 
@@ -128,10 +141,27 @@ def test_rejected_missions_are_not_printed(capfd):
 @pytest.mark.parametrize("level", ["BabyAI-GoToSeqS5R3-v0", "CartPole-v1"])
 def test_what_is_no_level_is_refused(level):
     with pytest.raises(ValueError, match=rf"level is '{level}': give the id .* like BabyAI-GoToSeqS5R2-v0"):
-        run_bot(level, 0)
+        make(level)
+
+
+def test_a_tile_has_pixels():
+    with pytest.raises(ValueError, match="BabyAI: tile is 0: give 1 to 32 pixels"):
+        make(PUT_NEXT, tile=0)
+
+
+def test_the_bot_teaches_no_other_world():
+    with pytest.raises(ValueError, match="the teacher was given CartPoleEnv: it teaches BabyAI only"):
+        Bot().reset(gym.make("CartPole-v1"))
+
+
+def test_the_bot_runs_as_any_expert_and_its_reward_tells_success():
+    [episode] = run_episodes(PlannerSource("teacher"), {"id": PUT_NEXT}, [0])
+    run = run_bot(PUT_NEXT, 0)
+    assert episode.actions.tolist() == run.actions.tolist() and episode.success
+    assert episode.success_by == "a reward above 0 on the step that ends the run"
 
 
 def test_without_minigrid_the_remedy_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "minigrid", None)
     with pytest.raises(ValueError, match=r"pip install -e '\.\[babyai\]'"):
-        run_bot(PUT_NEXT, 0)
+        make(PUT_NEXT)

@@ -1,12 +1,23 @@
 """Outcomes of a world that names none, and what a world's own diagnosis says instead."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from dpmacro.evaluation.rollouts import PlannerSource, run_episodes
 from dpmacro.worlds import diagnosis_of
-from dpmacro.worlds.base import OUT_OF_TIME, SUCCESS, Expert, Planner, SuccessOrFailure
+from dpmacro.worlds.base import (
+    ENDED,
+    NO_PHASE,
+    OUT_OF_TIME,
+    SUCCESS,
+    Episode,
+    Expert,
+    GenericDiagnosis,
+    Planner,
+)
 from dpmacro.worlds.two_flags.diagnosis import OUTCOMES, TwoFlagsDiagnosis
 from dpmacro.worlds.two_flags.teacher import Teacher
 
@@ -51,10 +62,37 @@ class Standing(PlannerSource):
 def test_a_world_without_names_for_its_failures_runs_as_well(goal, outcome, steps):
     (episode,) = run_episodes(Standing("teacher"), {"id": "Counting-v0", "goal": goal}, [0])
     assert (episode.outcome, episode.steps, episode.success) == (outcome, steps, goal == 3)
-    assert episode.phases.tolist() == [0] * steps and episode.macros.tolist() == [-1] * steps
+    assert episode.phases.tolist() == [NO_PHASE] * steps and episode.macros.tolist() == [-1] * steps
     diagnosis = diagnosis_of("Counting-v0")
-    assert isinstance(diagnosis, SuccessOrFailure) and outcome in diagnosis.outcomes
-    assert diagnosis.causes([episode]) == [""] and diagnosis.events([episode]) == {}
+    assert isinstance(diagnosis, GenericDiagnosis) and outcome in diagnosis.outcomes
+    causes = ["" if goal == 3 else "out_of_time"]
+    assert diagnosis.causes([episode]) == causes and diagnosis.events([episode]) == {}
+
+
+@pytest.mark.parametrize(
+    ("outcome", "facts", "cause"),
+    [
+        (SUCCESS, {"first_success": 1}, ""),
+        (OUT_OF_TIME, {"first_success": 1, "period": 1}, "success_lost"),
+        (OUT_OF_TIME, {"loop": 4}, "cycle"),
+        (OUT_OF_TIME, {"period": 2}, "cycle"),
+        (OUT_OF_TIME, {"period": 1}, "no_motion"),
+        (OUT_OF_TIME, {}, "out_of_time"),
+        (ENDED, {}, "ended"),
+        (ENDED, {"period": 1}, "no_motion"),
+    ],
+)
+def test_generic_causes(outcome, facts, cause):
+    episode = Episode(0, outcome, *[np.zeros(3, kind) for kind in (np.uint8, np.int8, np.int8, np.float32)])
+    assert GenericDiagnosis().causes([replace(episode, **facts)]) == [cause]
+
+
+@pytest.mark.parametrize(
+    ("success", "terminated", "outcome"),
+    [(True, True, SUCCESS), (True, False, SUCCESS), (False, True, ENDED), (False, False, OUT_OF_TIME)],
+)
+def test_generic_outcomes(success, terminated, outcome):
+    assert GenericDiagnosis().outcome({"is_success": success, "terminated": terminated}) == outcome
 
 
 def test_two_flags_has_a_diagnosis_of_its_own():

@@ -1,8 +1,8 @@
 """TwoFlags-v0: reach the blue flag, then the red one, seeing only what the avatar sees."""
 
 import math
-from collections.abc import Hashable
-from dataclasses import dataclass, fields
+from collections.abc import Hashable, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import cv2
@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 
 from dpmacro.worlds.two_flags.scene import AVATAR_RADIUS, FLAG_RADIUS, SURFACES, Layout, Scene
 
+FPS = 30
 ACTIONS = ("forward", "turn_left", "turn_right")
 FORWARD, TURN_LEFT, TURN_RIGHT = range(3)
 STEP = 0.03
@@ -64,6 +65,30 @@ class TwoFlagsConfig:
                 raise ValueError(f"TwoFlags: {name} is {getattr(self, name)!r}: {remedy}")
 
 
+def complete_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """All options of the world, those not given as they are by default.
+
+    Lists stand for tuples, as in a JSON file. Raises ValueError for one that is unknown or unfit.
+    """
+    unknown = sorted(set(options) - set(_DEFAULTS))
+    if unknown:
+        raise ValueError(f"TwoFlags has no option {unknown[0]!r}: choose among {', '.join(_DEFAULTS)}")
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in options.items()
+    }
+    for name, value in given.items():
+        default = _DEFAULTS[name]
+        alike = isinstance(value, tuple) == isinstance(default, tuple)
+        kind = {tuple: int, float: int | float}.get(type(default), type(default))
+        parts = value if isinstance(value, tuple) else (value,)
+        if not alike or not all(isinstance(part, kind) and not isinstance(part, bool) for part in parts):
+            raise ValueError(f"TwoFlags: {name} is {value!r}: give a value like {default!r}")
+    return asdict(TwoFlagsConfig(**given))
+
+
+_DEFAULTS = asdict(TwoFlagsConfig())
+
+
 class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
     """A square room with a blue and a red flag, seen through an avatar's eyes.
 
@@ -89,19 +114,12 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         options: the fields of `TwoFlagsConfig`. Unknown or unfit ones raise ValueError.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 30}  # noqa: RUF012  gymnasium's own way
+    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012  gymnasium's own way
 
     def __init__(self, render_mode: str | None = None, **options: Any):
-        known = [field.name for field in fields(TwoFlagsConfig)]
-        unknown = sorted(set(options) - set(known))
-        if unknown:
-            raise ValueError(f"TwoFlags has no option {unknown[0]!r}: choose among {', '.join(known)}")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"TwoFlags: render_mode is {render_mode!r}: choose None or 'rgb_array'")
-        # A JSON file gives lists for tuples.
-        for name, value in options.items():
-            options[name] = tuple(value) if isinstance(value, list) else value
-        self.config = TwoFlagsConfig(**options)
+        self.config = TwoFlagsConfig(**complete_options(options))
         self.render_mode = render_mode
         self.action_space = gym.spaces.Discrete(len(ACTIONS))
         pixels = gym.spaces.Box(0, 255, (PIXELS[1], PIXELS[0], 3), np.uint8)
