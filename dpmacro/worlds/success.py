@@ -28,7 +28,7 @@ class SuccessRule:
     """
 
     world: str
-    given: str | float | None = None
+    given: str | int | float | None = None
     threshold: float | None = None
 
     def shown(self, info: Mapping[str, Any]) -> bool:

@@ -128,10 +128,10 @@ def test_options_are_checked(record, options, message):
     ("world", "noise", "message"),
     [
         ({"id": "Meta-World/fly-v3"}, 0.1, "task is 'fly-v3': choose from pick-place-v3"),
-        ({"id": "BabyAI-Fly-v0"}, 0, "level is 'BabyAI-Fly-v0': give the id of a BabyAI level"),
-        ({"id": "CartPole-v1"}, 0, "world 'CartPole-v1' has no teacher: choose among TwoFlags-v0, "),
+        ({"id": "BabyAI-Fly-v0"}, 0.0, "level is 'BabyAI-Fly-v0': give the id of a BabyAI level"),
+        ({"id": "CartPole-v1"}, 0.0, "world 'CartPole-v1' has no teacher: choose among TwoFlags-v0, "),
         ({}, 0.1, "noise is 0.1: actions in TwoFlags-v0 take none, leave it out"),
-        ({"options": {"fog": 1}}, 0, "TwoFlags has no option 'fog'"),
+        ({"options": {"fog": 1}}, 0.0, "TwoFlags has no option 'fog'"),
     ],
 )
 def test_worlds_that_cannot_be_recorded_leave_nothing(record, world, noise, message, tmp_path):

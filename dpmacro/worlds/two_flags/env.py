@@ -83,6 +83,8 @@ def complete_options(options: Mapping[str, Any]) -> dict[str, Any]:
         parts = value if isinstance(value, tuple) else (value,)
         if not alike or not all(isinstance(part, kind) and not isinstance(part, bool) for part in parts):
             raise ValueError(f"TwoFlags: {name} is {value!r}: give a value like {default!r}")
+        if isinstance(default, float):
+            given[name] = float(value)
     return asdict(TwoFlagsConfig(**given))
 
 
