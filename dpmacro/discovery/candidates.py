@@ -19,7 +19,7 @@ from dpmacro.boosting.crossfit import LeftOutScores, left_out_scores
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Round
 from dpmacro.boosting.losses.base import Loss
-from dpmacro.discovery.criteria import CandidateScores, part_sums
+from dpmacro.discovery.criteria import CandidateScores, equally_good, part_sums
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.given import FREE, GivenLabels
 from dpmacro.segmentation.marginals import costs_without, margins
@@ -134,7 +134,8 @@ def score_candidates(
     """Scores of the finalists among candidates, which are given in the order of their training loss.
 
     Finalists are, of classes, the candidates whose changes are recognised best, by quick switch functions,
-    and those of least training loss; of vectors those of least loss in hindsight on left-out data. All get
+    and those of least training loss; of vectors those of least loss in hindsight on left-out data, and no
+    others can be kept (`criteria.best_candidate`). All get
     the same folds and random columns, drawn by the task's seed. `on_round` is called after every candidate's
     quick switch functions, then after every boosting round of classifiers, which grow side by side.
     """
@@ -203,15 +204,24 @@ def distinct(candidates: Int64[Tensor, "candidates frames"], similar: float = 0.
 def _explaining(
     task: Task, candidates: Int64[Tensor, "candidates frames"], fitted: LeftOutScores
 ) -> list[int]:
-    """The numbers of the candidates of least left-out loss in hindsight; all where they are few."""
+    """The numbers of the candidates that may be kept, ascending: those of least left-out loss in hindsight.
+
+    They are those that do as well as the best by it, of which switch functions are to tell the one to keep,
+    `LEADERS` at least and `FINALISTS + LEADERS` at most.
+    """
     scale, frames = task.loss.scale(fitted.alone, task.actions.cpu()), torch.arange(len(task.actions))
-    losses = torch.stack(
-        [
-            action_charges(scores[frames, labels][:, None], task, CHARGE_LIMIT, scale).mean()
-            for scores, labels in zip(fitted.macros, candidates, strict=True)
-        ]
-    )
-    return losses.argsort()[: FINALISTS + LEADERS].sort().values.tolist()
+    losses = [
+        part_sums(
+            action_charges(scores[frames, labels][:, None], task, CHARGE_LIMIT, scale)[:, 0],
+            task.lengths,
+            task.groups,
+        )
+        for scores, labels in zip(fitted.macros, candidates, strict=True)
+    ]
+    good = set(equally_good(losses))
+    order = sorted(range(len(losses)), key=lambda k: float(losses[k].sum()))
+    kept = [k for rank, k in enumerate(order) if rank < LEADERS or k in good]
+    return sorted(kept[: FINALISTS + LEADERS])
 
 
 def _recognised(

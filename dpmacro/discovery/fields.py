@@ -116,5 +116,8 @@ def _part(
     levels = data.levels[:, places.to(data.levels.device)]
     given = None if task.given is None else task.given[places]
     actions = task.actions[places.to(task.actions.device)]
-    part = SortedLevels.build(levels) if len(data.columns) else SortedLevels.unsorted(levels)
+    kinds = data.kinds
+    part = (
+        SortedLevels.build(levels, kinds=kinds) if len(data.columns) else SortedLevels.unsorted(levels, kinds)
+    )
     return part, replace(task, actions=actions, given=given, **others)

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import torch
+from jaxtyping import Int64
+from torch import Tensor
 
 from dpmacro.boosting.loop import Round
 from dpmacro.discovery.candidates import Task, confidence
@@ -11,7 +13,7 @@ from dpmacro.discovery.criteria import equally_good
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt
 from dpmacro.estimator.result import DPBoostResult
-from dpmacro.estimator.settling import FinalFit, Settled, settle
+from dpmacro.estimator.settling import FinalFit, settle
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import transition_counts
 
@@ -46,11 +48,18 @@ def finished(
     elif discovery is not None:  # switch functions charge nats, and so the training loss is to be in nats
         fit = replace(fit, weight=fit.weight * task.loss.per_nat(discovery.kept.scale))
     bounded = replace(task.numbered_as(labels), max_transitions=bound)
-    settled = settle(fit, bounded, labels, on_round)
-    final = _judged(data, task, settled, on_round)
-    if task.vectors and fit.weight > 0 and not _explains(final, discovery):
+
+    asked = task.vectors and fit.weight > 0
+
+    def explains(found: Int64[Tensor, " frames"]) -> bool:
+        return not asked or _explains(_judged(data, task, found, on_round), discovery)
+
+    settled = settle(fit, bounded, labels, on_round, explains)
+    final = None if settled is None else _judged(data, task, settled.labels, on_round)
+    if settled is None or (asked and not _explains(final, discovery)):
         settled = settle(apart, bounded, labels, on_round)
-        final = _judged(data, task, settled, on_round)
+        assert settled is not None, "whatever it ends with was wanted"
+        final = _judged(data, task, settled.labels, on_round)
     sure = torch.ones(len(labels))
     if final is not None:
         sure = confidence(final.kept, final.task, settled.labels)
@@ -72,14 +81,17 @@ def finished(
 
 
 def _judged(
-    data: SortedLevels, task: Task, settled: Settled, on_round: Callable[[Round], None]
+    data: SortedLevels,
+    task: Task,
+    labels: Int64[Tensor, " frames"],
+    on_round: Callable[[Round], None],
 ) -> Discovery | None:
-    """What left-out data says of the labels that were settled on; None where they are one macro-action."""
-    if int(settled.labels.max()) == 0:
+    """What left-out data says of labels 0..Q-1, each used; None where they are one macro-action."""
+    if int(labels.max()) == 0:
         return None
-    used = int(transition_counts(settled.labels, task.lengths).max())
-    own = replace(task.numbered_as(settled.labels), max_transitions=used)
-    return adopt(data, own, settled.labels, on_round)
+    used = int(transition_counts(labels, task.lengths).max())
+    own = replace(task.numbered_as(labels), max_transitions=used)
+    return adopt(data, own, labels, on_round)
 
 
 def _explains(final: Discovery | None, discovery: Discovery | None) -> bool:

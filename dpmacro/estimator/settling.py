@@ -76,14 +76,18 @@ def settle(
     task: Task,
     labels: Int64[Tensor, " frames"],
     on_round: Callable[[Round], None] = lambda _: None,
-) -> Settled:
+    wanted: Callable[[Int64[Tensor, " frames"]], bool] = lambda _: True,
+) -> Settled | None:
     """Fit classifiers and switch functions to a segmentation, or to what becomes of it.
+
+    None where that is to be fitted once more and is not `wanted`.
 
     Args:
         fit: with what.
         task: the actions and what is left out together; its bound holds for the segmentation.
         labels: the segmentation to begin with, 0..Q-1, each used; it keeps to what is given.
         on_round: called after every boosting round.
+        wanted: asked of the labels that the first fit ends with.
     """
 
     def fitted(settings: SwitchSettings, own: Int64[Tensor, " frames"]) -> SwitchFunctions:
@@ -124,6 +128,8 @@ def settle(
         if differing == 0 or (passes >= PASSES and len(used) == n_macros):
             result = Settled(found, loss, classifiers, switches, terms, task.max_transitions, differing)
             break
+        if passes == 1 and not wanted(pruned):
+            return None
         names = torch.full((n_macros + 1,), -1)  # the last one for frames that lost theirs before
         names[used] = torch.arange(len(used))
         labels, chosen = pruned, names[chosen]

@@ -66,7 +66,8 @@ def prepare(
                 levels[rows, frames] = quantiser.levels(values)
         del values
         on_columns(len(numbers))
-    data = SortedLevels.unsorted(levels) if plan.drawn else SortedLevels.build(levels)
+    kinds = encoder.sees_pixels.cpu().long()
+    data = SortedLevels.unsorted(levels, kinds) if plan.drawn else SortedLevels.build(levels, kinds=kinds)
     return encoder, Quantiser(torch.cat(cuts)), data
 
 

@@ -41,10 +41,14 @@ class SortedLevels:
     thresholds: UInt8[Tensor, "sorted bins"]
     counts: Int64[Tensor, " sorted"]  # a column's bins; on the CPU
     fullest: Int64[Tensor, " sorted"]
+    kinds: Int64[Tensor, " columns"] | None = None  # of every column; draws are shared out among the kinds
 
     @classmethod
     def build(
-        cls, levels: UInt8[Tensor, "columns frames"], columns: Int64[Tensor, " sorted"] | None = None
+        cls,
+        levels: UInt8[Tensor, "columns frames"],
+        columns: Int64[Tensor, " sorted"] | None = None,
+        kinds: Int64[Tensor, " columns"] | None = None,
     ) -> "SortedLevels":
         """Sort all columns, or just `columns`, once; the rounds of all problems share the result.
 
@@ -85,6 +89,7 @@ class SortedLevels:
             torch.from_numpy(thresholds).to(device),
             torch.from_numpy(counts),
             torch.from_numpy(fullest).to(device),
+            kinds,
         )
 
     @property
@@ -98,9 +103,23 @@ class SortedLevels:
         return self.levels.shape[1]
 
     @classmethod
-    def unsorted(cls, levels: UInt8[Tensor, "columns frames"]) -> "SortedLevels":
+    def unsorted(
+        cls, levels: UInt8[Tensor, "columns frames"], kinds: Int64[Tensor, " columns"] | None = None
+    ) -> "SortedLevels":
         """No column sorted yet, which saves four bytes a level: `take` sorts what it takes."""
-        return cls.build(levels, torch.arange(0))
+        return cls.build(levels, torch.arange(0), kinds)
+
+    def drawn(self, count: int, generator: torch.Generator) -> Int64[Tensor, " drawn"]:
+        """Numbers of `count` columns drawn at random, ascending; as many of every kind as far as they go.
+
+        A few dozen numbers of a state tell more than thousands of columns of pixels, among which they would
+        hardly ever be drawn.
+        """
+        order = torch.randperm(self.n_columns, generator=generator)
+        if self.kinds is not None:
+            of_kind = torch.nn.functional.one_hot(self.kinds[order])
+            order = order[(of_kind.cumsum(0) * of_kind).sum(1).argsort(stable=True)]
+        return order[:count].sort().values
 
     def take(self, columns: Int64[Tensor, " taken"]) -> "SortedLevels":
         """Just these columns, ascending, sorted now where they are not."""

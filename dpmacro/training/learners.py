@@ -58,7 +58,7 @@ class WeakLearners:
             data = with_mirror_images(data, seen, lengths, columns.encoder, columns.quantiser)
         drawn = planner.switch_drawn or self._drawn
         if drawn == 0 and len(data.columns) < data.n_columns:
-            data = SortedLevels.build(data.levels)
+            data = SortedLevels.build(data.levels, kinds=data.kinds)
         return StumpLearner(data, drawn)
 
     def _networks(self, mirror: bool) -> ConvNetLearner:

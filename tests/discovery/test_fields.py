@@ -151,7 +151,7 @@ def test_ever_fewer_macro_actions_of_the_best():
     found = adopt(data, replace(task, macros=4, max_transitions=6), fine)
     three, two = fewer(data, found)
     assert [one.macros for one in (three, two)] == [3, 2]
-    assert len(three.candidates) == 6 and accuracy(three.kept.labels, truth) == 1
+    assert 4 <= len(three.candidates) <= 6 and accuracy(three.kept.labels, truth) == 1
     assert three.max_transitions == 2 and len(two.candidates) == 3
     assert fewer(data, adopt(data, replace(task, macros=2), (truth > 0).long())) == []
     assert choose([found, three, two]).setting == (3, 2)

@@ -142,8 +142,8 @@ def vectors(n=10, length=60):
 
 def test_of_vectors_what_explains_left_out_actions_best_goes_on_and_is_kept(monkeypatch):
     data, task, truth = vectors()
-    monkeypatch.setattr(candidates, "FINALISTS", 1)
-    monkeypatch.setattr(candidates, "LEADERS", 1)
+    monkeypatch.setattr(candidates, "FINALISTS", 0)
+    monkeypatch.setattr(candidates, "LEADERS", 2)
     halves, shifted = (truth > 0).long(), truth.roll(9)
     scored = score_candidates(data, task, torch.stack([halves, truth, shifted, torch.zeros_like(truth)]))
     assert len(scored) == 2 and any(torch.equal(one.labels, truth) for one in scored)

@@ -92,3 +92,24 @@ def test_bins_side_by_side_are_taken_together(seed, n_columns, n_frames, n_level
                     assert (full in group) == (place == int(chunk.fullest[k]))
             column += 1
     assert column == n_columns
+
+
+@given(
+    counts=st.lists(st.integers(1, 60), min_size=1, max_size=4),
+    count=st.integers(1, 100),
+    seed=st.integers(0, 2**16),
+)
+def test_draws_are_shared_out_among_kinds_of_columns(counts, count, seed):
+    kinds = torch.cat([torch.full((own,), kind) for kind, own in enumerate(counts)])
+    kinds = kinds[torch.randperm(len(kinds), generator=torch.Generator().manual_seed(seed))]
+    levels = torch.zeros(len(kinds), 2, dtype=torch.uint8)
+    for data in (SortedLevels.build(levels, kinds=kinds), SortedLevels.unsorted(levels, kinds)):
+        drawn = data.drawn(count, torch.Generator().manual_seed(seed))
+        assert drawn.tolist() == sorted({*drawn.tolist()}) and len(drawn) == min(count, len(kinds))
+        of_kind = torch.bincount(kinds[drawn], minlength=len(counts)).tolist()
+        for own, most in zip(of_kind, counts, strict=True):
+            assert own == most or own >= max(of_kind) - 1  # all of them, or as many as of any other
+    alike = SortedLevels.unsorted(levels, torch.zeros_like(kinds))
+    bare = SortedLevels.unsorted(levels)
+    one, other = (each.drawn(count, torch.Generator().manual_seed(seed)) for each in (alike, bare))
+    assert torch.equal(one, other)

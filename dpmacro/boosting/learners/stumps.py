@@ -103,7 +103,8 @@ class StumpLearner:
     exact minimiser.
 
     Three options trade exactness for time:
-        drawn: columns, drawn at random, that are searched instead of all, where it is not 0.
+        drawn: columns, drawn at random (`SortedLevels.drawn`), that are searched instead of all, where it is
+            not 0.
         reuse: rounds that a search serves, 1 for just its own. Drawn columns stay for so many rounds; where
             all columns are searched, the best of every problem are searched alone in the rounds that follow.
 
@@ -190,7 +191,7 @@ class StumpLearner:
         n_columns = self.data.n_columns
         if self.drawn == 0 or (self.drawn >= n_columns and len(self.data.columns)):
             return Search(self.data, 1)
-        columns = torch.randperm(n_columns, generator=generator)[: self.drawn].sort().values
+        columns = self.data.drawn(self.drawn, generator)
         rounds = self.reuse if len(self.data.columns) else max(self.reuse, REDRAWN)
         return Search(self.data.take(columns), rounds)
 
