@@ -30,7 +30,7 @@ from dpmacro.annotation.corrections import Corrections
 from dpmacro.annotation.exports.dataset import writing_labels
 from dpmacro.annotation.exports.folders import refuse_places, refuse_unwritable
 from dpmacro.annotation.exports.formats import FORMATS
-from dpmacro.annotation.exports.labelling import open_for_labels
+from dpmacro.annotation.exports.labelling import check_episodes, open_for_labels
 from dpmacro.annotation.idle import idle_frames, moving_columns
 from dpmacro.annotation.naming import StageName, checked_names, stage_names
 from dpmacro.annotation.pictures import picture_count, pictures
@@ -232,13 +232,21 @@ def by_policy(options: AnnotateOptions) -> Segmented:
         transform=policy.config.image_transform,
         task=dataset.task,
     )
+    check_output(options, demonstrations)
     return Segmented(demonstrations, policy, annotate(policy, demonstrations), path)
+
+
+def check_output(options: AnnotateOptions, demonstrations: Demonstrations) -> None:
+    """Raise ValueError where the dataset has episodes that were left out: a new one has labels in all."""
+    if options.output is not None and options.dataset.root is not None:
+        check_episodes(open_for_labels(options.dataset.root), demonstrations.numbers)
 
 
 def trained(options: AnnotateOptions, output_dir: Path, corrections: Corrections | None) -> Segmented:
     """Find the stages as train.py does; the confidence is that of classifiers that never saw a frame."""
     dataset, planner = options.dataset, options.planner
     demonstrations = read_demonstrations(dataset, planner.memory_limit)
+    check_output(options, demonstrations)
     if corrections is not None:  # before a search, which takes longer
         corrections.check(demonstrations.numbers, demonstrations.lengths, demonstrations.fps)
     if dataset.labels is not None and planner.macros == "auto":

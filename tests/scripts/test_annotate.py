@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lerobot_files import build
 from noise import PHASES, random_episodes
+from odd_changes import one_frame_more
 from segmented import random_policy
 
 from dpmacro.annotation.annotate import annotate
@@ -327,3 +329,17 @@ def test_a_dataset_into_which_nothing_can_be_written_is_refused_before_a_search(
     with pytest.raises(SystemExit) as exit_:
         call(script, monkeypatch, f"--dataset.root={root}", f"--output={tmp_path / 'new'}")
     assert exit_.value.code == 2 and "v2.1" in capsys.readouterr().err
+
+
+def test_a_dataset_with_an_episode_that_cannot_be_cut_is_refused_before_a_search(
+    script, tmp_path, monkeypatch, capsys
+):
+    plain = tmp_path / "plain"
+    build(plain)
+    one_frame_more(plain)
+    monkeypatch.setattr(script, "Trainer", lambda *_: pytest.fail("searched"))
+    with pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, f"--dataset.root={plain}", f"--output={tmp_path / 'new'}")
+    told = capsys.readouterr().err
+    assert exit_.value.code == 2 and "has 3 episodes, and 1 of them have no labels (episode 2 first)" in told
+    assert not (tmp_path / "new").exists()

@@ -18,7 +18,7 @@ from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
 from dpmacro.data.lerobot.tables import HALF_COPIED, read_json
 
-__all__ = ["formats_of", "labelled_dataset", "open_for_labels", "read_labels"]
+__all__ = ["check_episodes", "formats_of", "labelled_dataset", "open_for_labels", "read_labels"]
 
 
 def labelled_dataset(root: Path, stages: Stages) -> Labelled:
@@ -111,20 +111,26 @@ def open_for_labels(root: Path) -> StoredDataset:
     return store
 
 
-def _in_order(store: StoredDataset, rows: Rows, stages: Stages) -> Stages:
-    own = tuple(episode.index for episode in store.episodes)
-    without = [episode for episode in own if episode not in set(stages.episodes)]
+def check_episodes(store: StoredDataset, episodes: Sequence[int]) -> None:
+    """Raise ValueError where labels of these episodes are not labels of all that a dataset has."""
+    own = {episode.index for episode in store.episodes}
+    without = sorted(own - set(episodes))
     if without:
         raise ValueError(
             f"dataset {store.root}: has {len(own)} episodes, and {len(without)} of them have no labels "
             f"(episode {without[0]} first); annotate all of them, or take a dataset of some by "
             "lerobot-edit-dataset's split"
         )
-    beyond = [episode for episode in stages.episodes if episode not in set(own)]
+    beyond = sorted(set(episodes) - own)
     if beyond:
         raise ValueError(
             f"dataset {store.root}: has no episode {beyond[0]}, which has labels; annotate it anew"
         )
+
+
+def _in_order(store: StoredDataset, rows: Rows, stages: Stages) -> Stages:
+    check_episodes(store, stages.episodes)
+    own = tuple(episode.index for episode in store.episodes)
     in_order = stages.of_episodes(own)
     wrong = np.flatnonzero(in_order.lengths != rows.lengths)
     if wrong.size:
