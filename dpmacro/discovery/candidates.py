@@ -32,7 +32,6 @@ __all__ = [
     "Task",
     "action_charges",
     "confidence",
-    "distinct",
     "left_out_charges",
     "score_candidates",
 ]
@@ -190,15 +189,6 @@ def action_charges(
 ) -> Float[Tensor, "frames problems"]:
     """What left-out scores are charged for the actions, in nats; see `Loss.charge`."""
     return task.loss.charge(scores, task.loss.targets(task.actions.cpu()), limit, scale)
-
-
-def distinct(candidates: Int64[Tensor, "candidates frames"], similar: float = 0.99) -> Int64[Tensor, " kept"]:
-    """The first of every group of candidates that agree on `similar` of the frames, labels taken as named."""
-    kept: list[int] = []
-    for k, labels in enumerate(candidates):
-        if all(float((labels == candidates[other]).float().mean()) < similar for other in kept):
-            kept.append(k)
-    return torch.tensor(kept)
 
 
 def _explaining(

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from dpmacro.boosting.loop import Round
 from dpmacro.discovery.alternation import Alternated, pooled
-from dpmacro.discovery.candidates import Candidate, Task, distinct, score_candidates
+from dpmacro.discovery.candidates import Candidate, Task, score_candidates
 from dpmacro.discovery.criteria import best_candidate
 from dpmacro.discovery.fields import Field, extended, field_of
 from dpmacro.discovery.race import boosted, boosted_in_turn, raced, taught
@@ -32,6 +32,7 @@ from dpmacro.discovery.starts import (
     window_clusters,
 )
 from dpmacro.features.levels import SortedLevels
+from dpmacro.segmentation.segments import distinct
 
 __all__ = ["adopt", "discover", "spread"]
 

@@ -9,6 +9,7 @@ from torch import Tensor
 __all__ = [
     "Segment",
     "chain_labels",
+    "distinct",
     "follows_chain",
     "macro_segments",
     "starting_macros",
@@ -99,3 +100,12 @@ def follows_chain(
     steps[ends[:-1] - 1] = 0
     begun_and_ended = (labels[starts] == 0) & (labels[ends - 1] == macros - 1)
     return bool(((steps == 0) | (steps == 1)).all() & begun_and_ended.all())
+
+
+def distinct(labellings: Int64[Tensor, "labellings frames"], similar: float = 0.99) -> Int64[Tensor, " kept"]:
+    """The first of every group of labellings that agree on `similar` of the frames, labels taken as named."""
+    kept: list[int] = []
+    for k, labels in enumerate(labellings):
+        if all(float((labels == labellings[other]).float().mean()) < similar for other in kept):
+            kept.append(k)
+    return torch.tensor(kept)

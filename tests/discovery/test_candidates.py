@@ -12,7 +12,6 @@ from dpmacro.discovery.candidates import (
     LEADERS,
     action_charges,
     confidence,
-    distinct,
     score_candidates,
 )
 from dpmacro.discovery.criteria import best_candidate, standard_error
@@ -153,10 +152,3 @@ def test_a_candidate_knows_what_it_uses(scored):
     one = by_labels(found, torch.zeros_like(truth))
     assert by_labels(found, truth).used.tolist() == [0, 1] and one.used.tolist() == [0]
     assert (by_labels(found, truth).transitions(task.lengths), one.transitions(task.lengths)) == (1, 0)
-
-
-def test_distinct_keeps_the_first_of_a_group():
-    base = torch.arange(200) // 100
-    near = base.clone()
-    near[0] = 1
-    assert distinct(torch.stack([base, near, 1 - base, base])).tolist() == [0, 2]

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dpmacro.segmentation.segments import (
     chain_labels,
+    distinct,
     follows_chain,
     macro_segments,
     starting_macros,
@@ -88,3 +89,10 @@ def test_a_chain_goes_through_all_macro_actions_in_their_order(parts, n_macros):
 def test_cuts_that_make_no_chain_are_named(cuts):
     with pytest.raises(ValueError, match=r"^cuts\[1\] are \[\d, \d\]: give 2 frames that rise within 1 to 4"):
         chain_labels(torch.tensor([[1, 3], cuts]), torch.tensor([4, 5]))
+
+
+def test_distinct_keeps_the_first_of_a_group():
+    base = torch.arange(200) // 100
+    near = base.clone()
+    near[0] = 1
+    assert distinct(torch.stack([base, near, 1 - base, base])).tolist() == [0, 2]
