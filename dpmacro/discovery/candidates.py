@@ -197,7 +197,8 @@ def _explaining(
     """The numbers of the candidates that may be kept, ascending: those of least left-out loss in hindsight.
 
     They are those that do as well as the best by it, of which switch functions are to tell the one to keep,
-    `LEADERS` at least and `FINALISTS + LEADERS` at most.
+    `LEADERS` at least and `FINALISTS + LEADERS` at most. Where labels are given their loss is asked first
+    (`criteria.best_candidate`), so all may be kept.
     """
     scale, frames = task.loss.scale(fitted.alone, task.actions.cpu()), torch.arange(len(task.actions))
     losses = [
@@ -208,7 +209,7 @@ def _explaining(
         )
         for scores, labels in zip(fitted.macros, candidates, strict=True)
     ]
-    good = set(equally_good(losses))
+    good = set(range(len(losses)) if task.given is not None else equally_good(losses))
     order = sorted(range(len(losses)), key=lambda k: float(losses[k].sum()))
     kept = [k for rank, k in enumerate(order) if rank < LEADERS or k in good]
     return sorted(kept[: FINALISTS + LEADERS])

@@ -70,8 +70,8 @@ def extended(
 ) -> Int64[Tensor, " frames"]:
     """Labels of all frames, as classifiers of a field's `labels` want them within the bounds.
 
-    `max_transitions` takes the place of the task's. Only macro-actions that have frames in the field are
-    given away, and labels that are given stay.
+    `max_transitions` takes the place of the task's where the order is free and no label is given. No frame
+    gets a macro-action that has none in the field, and labels that are given stay.
     """
     generator = torch.Generator().manual_seed(task.seed)
     used, own = labels.unique(return_inverse=True)

@@ -15,6 +15,7 @@ from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import initial_segmentations, random_cuts
 from dpmacro.features.levels import SortedLevels
 from dpmacro.metrics.frames import named_after_truth
+from dpmacro.segmentation.given import FREE
 from dpmacro.segmentation.segments import transition_counts
 
 QUICK = {"rounds": 10, "warmup": 4, "drawn": 6}
@@ -138,6 +139,15 @@ def vectors(n=10, length=60):
     lengths = torch.full((n,), length)
     loss = HuberLoss(2)
     return SortedLevels.build(levels), Task(actions, lengths, torch.arange(n), loss, 3, 2, seed=0), truth
+
+
+def test_of_vectors_with_given_labels_all_go_on_that_agree_with_them():
+    data, task, truth = vectors()
+    some = torch.stack([truth, *(truth.roll(7 * k) for k in range(1, 7))])
+    assert len(score_candidates(data, task, some)) < len(some)  # those that explain worse do not
+    known = torch.full_like(truth, FREE)
+    known[:1] = truth[:1]
+    assert len(score_candidates(data, replace(task, given=known), some)) == len(some)
 
 
 def test_of_vectors_what_explains_left_out_actions_best_goes_on_and_is_kept(monkeypatch):
