@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpmacro.boosting.learners.base import Frames
-from dpmacro.boosting.learners.stumps import StumpClassifier, StumpLearner
+from dpmacro.boosting.learners.stumps import StumpClassifier, StumpLearner, sweep
+from dpmacro.boosting.losses.vectors import HuberLoss
 from dpmacro.features.levels import LEVELS, SortedLevels
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
@@ -182,3 +183,23 @@ def test_importances_are_the_steps_of_the_votes_on_each_column():
     strong = StumpClassifier(columns, torch.zeros(3, 2, dtype=torch.uint8), votes)
     assert strong.importances(5).tolist() == [[0, 0, 0, 0, 4.75], [0] * 5]
     assert strong.select(torch.tensor([1, 0])).importances(6)[1, 4] == 4.75
+
+
+@pytest.mark.parametrize("bins", [1, 5, 64])
+def test_sums_up_to_the_thresholds_of_bins_taken_together(bins):
+    generator = torch.Generator().manual_seed(bins)
+    levels = torch.randint(0, 256, (6, 400), dtype=torch.uint8, generator=generator)
+    levels[:, :90] = 17  # the fullest level has neighbours in its bin
+    weights = torch.rand(400, 2, 1, generator=generator)
+    responses = torch.randn(400, 2, 3, generator=generator)
+    loss = HuberLoss(3)
+    rows = loss.table(weights, responses)
+    first = 0
+    for chunk, below, _ in sweep(SortedLevels.build(levels), weights, responses, loss, bins=bins):
+        assert below.shape[1] <= bins
+        for column, thresholds in enumerate(chunk.thresholds):
+            for place, threshold in enumerate(thresholds.tolist()):
+                expected = rows[levels[first + column] <= threshold].sum(0)
+                torch.testing.assert_close(below[column, place], expected, atol=1e-3, rtol=1e-4)
+        first += len(chunk.thresholds)
+    assert first == len(levels)
