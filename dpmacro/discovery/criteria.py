@@ -42,7 +42,7 @@ class CandidateScores:
     hindsight: Float[Tensor, " parts"]
     context: Float[Tensor, " parts"]
     alone: Float[Tensor, " parts"]
-    given: Float[Tensor, " parts"] | None = None
+    given: Float[Tensor, " given_parts"] | None = None
 
     @property
     def gain(self) -> float:
