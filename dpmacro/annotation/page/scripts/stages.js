@@ -61,13 +61,13 @@ function askMerge(stage) {
     ...stages.map((one, k) => new Option(`${k + 1} ${one.name}`, k)).filter((_, k) => k !== stage),
   );
   merge.dataset.stage = stage;
-  merge.returnValue = "";
   merge.showModal();
   choice.focus();
 }
 
-merge.addEventListener("close", () => {
-  if (merge.returnValue !== "merge") return;
+// At "submit", not at the dialog's "close": that comes later, and a save could come between.
+merge.addEventListener("submit", (event) => {
+  if (event.submitter?.value !== "merge") return;
   const from = Number(merge.dataset.stage);
   const into = Number(document.getElementById("merge-into").value);
   const { stages } = history.state;
