@@ -23,14 +23,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from act_chunks import ACTION, IMAGE, STATE, Chunks, as_seen
-from jaxtyping import UInt8
+from act_chunks import ACTION, IMAGE, STATE, Chunks, as_seen, of_state
+from jaxtyping import Float, Float32, UInt8
+from torch import Tensor
 from tqdm import tqdm
 
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.utils.files import replacing
 
-__all__ = ["ActOptions", "ActPlanner", "Trained", "facts_of", "train"]
+__all__ = ["ActOptions", "ActPlanner", "StateActPlanner", "Trained", "facts_of", "train"]
 
 FACTS = "training.json"
 LOSSES = 10
@@ -84,16 +85,25 @@ class Trained:
 
 
 def train(
-    demonstrations: Demonstrations, options: ActOptions, started: float, seconds: float, steps: int | None
+    demonstrations: Demonstrations,
+    options: ActOptions,
+    started: float,
+    seconds: float,
+    steps: int | None,
+    chunks: Chunks | None = None,
 ) -> Trained:
-    """Train until `seconds` have passed since `started`, a time.perf_counter(), or `steps` are done."""
+    """Train until `seconds` have passed since `started`, a time.perf_counter(), or `steps` are done.
+
+    `chunks` is what ACT is given of the demonstrations, by default images and classes.
+    """
     from lerobot.policies.act.modeling_act import ACTPolicy
     from lerobot.policies.factory import make_pre_post_processors
 
     worked = time.process_time()
     torch.manual_seed(options.seed)  # ACT draws its weights, dropout and latents from the global generator
-    chunks = Chunks(demonstrations, options.chunk_size)
-    config = _config(options, tuple(demonstrations.images.shape[1:3]), len(demonstrations.action_names))
+    if chunks is None:
+        chunks = Chunks(demonstrations, options.chunk_size)
+    config = _config(options, chunks.features(), chunks.actions.shape[1])
     policy = ACTPolicy(config)
     before, after = make_pre_post_processors(config, dataset_stats=chunks.statistics())
     preset = config.get_optimizer_preset()
@@ -162,19 +172,32 @@ class ActPlanner:
         """Begin an episode."""
         self.policy.reset()
 
-    def act(self, observation: dict[str, UInt8[np.ndarray, "height width 3"]], info: dict[str, Any]) -> int:
-        """The action for the frame that the environment shows now."""
+    def act(self, observation: dict[str, UInt8[np.ndarray, "height width 3"]], info: dict[str, Any]) -> Any:
+        """The action, a class, for the frame that the environment shows now."""
         batch = {IMAGE: as_seen(torch.from_numpy(observation["pixels"])), STATE: torch.zeros(0)}
+        return int(self.next_action(batch).argmax())
+
+    def next_action(self, batch: dict[str, Tensor]) -> Float[Tensor, " M"]:
+        """The vector that ACT predicts, in the actions' units."""
         with torch.inference_mode():
-            return int(self.after(self.policy.select_action(self.before(batch)))[0].argmax())
+            return self.after(self.policy.select_action(self.before(batch)))[0]
 
 
-def _config(options: ActOptions, size: tuple[int, int], actions: int) -> Any:
+class StateActPlanner(ActPlanner):
+    """Likewise for a world of vectors: it sees `observation.state`, and acts by the predicted vector."""
+
+    def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> Float32[np.ndarray, " M"]:
+        own = self.policy.config.robot_state_feature.shape[0]
+        state = torch.from_numpy(np.asarray(observation[STATE], np.float32))
+        return self.next_action(of_state(state[None], own)).numpy()
+
+
+def _config(options: ActOptions, seen: dict[str, Any], actions: int) -> Any:
     from lerobot.configs.types import FeatureType, PolicyFeature
     from lerobot.policies.act.configuration_act import ACTConfig
 
     return ACTConfig(
-        input_features={IMAGE: PolicyFeature(FeatureType.VISUAL, (3, *size))},
+        input_features=seen,
         output_features={ACTION: PolicyFeature(FeatureType.ACTION, (actions,))},
         chunk_size=options.chunk_size,
         n_action_steps=options.chunk_size,
@@ -190,13 +213,12 @@ def _config(options: ActOptions, size: tuple[int, int], actions: int) -> Any:
 
 @torch.inference_mode()
 def _agreement(policy: Any, before: Any, after: Any, chunks: Chunks) -> float:
-    """Share of some thousand frames at which the first predicted action is the one taken, in 0..1."""
+    """How well the first predicted action is the one taken, at some thousand frames."""
     frames = torch.arange(0, len(chunks), max(1, len(chunks) // 1000))
     policy.eval()
-    right = 0
+    predicted, taken = [], []
     for some in frames.split(FRAMES_AT_ONCE):
         batch = chunks.batch(some)
-        taken = batch.pop(ACTION)[:, 0].argmax(1)
-        predicted = after(policy.predict_action_chunk(before(batch)))[:, 0].argmax(1)
-        right += int((predicted == taken).sum())
-    return right / len(frames)
+        taken.append(batch.pop(ACTION)[:, 0])
+        predicted.append(after(policy.predict_action_chunk(before(batch)))[:, 0])
+    return chunks.agreement(torch.cat(predicted), torch.cat(taken))

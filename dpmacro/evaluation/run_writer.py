@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32
 
 from dpmacro.data.images import DatasetError
 from dpmacro.data.lerobot.compat import create_dataset, embedding_at_once, quiet
@@ -16,7 +17,7 @@ from dpmacro.data.lerobot.reader import WORLD_FILE
 from dpmacro.data.lerobot.writer import VIEW
 from dpmacro.evaluation.recording import Run
 from dpmacro.utils import interrupts
-from dpmacro.worlds.base import Recording
+from dpmacro.worlds.base import Recording, WorldError
 
 __all__ = ["RunWriter", "writing_runs"]
 
@@ -138,7 +139,7 @@ def _features(run: Run, told: Recording) -> dict[str, dict[str, Any]]:
             for name, (values, kind) in pictures.items()
         },
         **{
-            name: {"dtype": "float32", "shape": values.shape[1:], "names": None}
+            name: {"dtype": "float32", "shape": values.shape[1:], "names": _names(name, values, told)}
             for name, values in vectors.items()
         },
         "action": {"dtype": "float32", "shape": (len(told.actions),), "names": list(told.actions)},
@@ -153,3 +154,16 @@ def _features(run: Run, told: Recording) -> dict[str, dict[str, Any]]:
 def _refuse_existing(root: Path) -> None:
     if root.exists() or root.is_symlink():
         raise DatasetError(f"dataset {root}: exists already; remove it or give another --root")
+
+
+def _names(key: str, values: Float32[np.ndarray, "frames dims"], told: Recording) -> list[str] | None:
+    """Names of a vector's numbers. Raises WorldError where the world has another number of them."""
+    names = told.states.get(key)
+    if names is None:
+        return None
+    if len(names) != values.shape[1]:
+        raise WorldError(
+            f"the recording names {len(names)} numbers of {key}, and the world shows {values.shape[1]}: "
+            "correct its Recording"
+        )
+    return list(names)

@@ -46,13 +46,28 @@ for _task in TASKS:
         disable_env_checker=True,
     )
 
-DIAGNOSES = {DEFAULT: "dpmacro.worlds.two_flags.diagnosis:TwoFlagsDiagnosis"}
+for _world, _buttons in (("TwoButtons-v0", True), ("TwoGoals-v0", False)):
+    gym.register(
+        id=_world,
+        entry_point="dpmacro.worlds.two_places:TwoPlaces",
+        kwargs={"buttons": _buttons},
+        order_enforce=False,
+        disable_env_checker=True,
+    )
+
+DIAGNOSES = {
+    DEFAULT: "dpmacro.worlds.two_flags.diagnosis:TwoFlagsDiagnosis",
+    "TwoButtons-v0": "dpmacro.worlds.two_places:TwoPlacesDiagnosis",
+    "TwoGoals-v0": "dpmacro.worlds.two_places:TwoPlacesDiagnosis",
+}
 """From a world's gymnasium id to the class of its `Diagnosis`, as gymnasium writes entry points."""
 
 EXPERTS = {
     DEFAULT: "dpmacro.worlds.two_flags.teacher:Teacher",
     FAMILY: "dpmacro.worlds.metaworld:ScriptedExpert",
     "BabyAI-": "dpmacro.worlds.babyai:Bot",
+    "TwoButtons-v0": "dpmacro.worlds.two_places:Expert",
+    "TwoGoals-v0": "dpmacro.worlds.two_places:Expert",
 }
 """Likewise to the class of its `Expert`, in worlds that have one."""
 
@@ -60,6 +75,8 @@ RECORDINGS = {
     DEFAULT: "dpmacro.worlds.two_flags.recording:recording",
     FAMILY: "dpmacro.worlds.metaworld:recording",
     "BabyAI-": "dpmacro.worlds.babyai:recording",
+    "TwoButtons-v0": "dpmacro.worlds.two_places:recording",
+    "TwoGoals-v0": "dpmacro.worlds.two_places:recording",
 }
 """Likewise to a function from the id to its `Recording`, in worlds that have an expert."""
 

@@ -1,7 +1,7 @@
 """What every world and whatever runs in one agree on: planners, runs, and the names of how runs end."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import gymnasium as gym
@@ -83,6 +83,7 @@ class Recording:
         observations: the world's own names of what is recorded, by LeRobot's keys; None for all that it
             shows, under LeRobot's usual keys.
         noisy: factor on the noise that a recording may add to each number of an action; () where none may.
+        states: names of the numbers of vectors that are seen, by LeRobot's keys, as far as they have any.
     """
 
     task: str
@@ -92,6 +93,7 @@ class Recording:
     symmetric: bool = False
     observations: Mapping[str, str] | None = None
     noisy: tuple[float, ...] = ()
+    states: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @runtime_checkable

@@ -46,6 +46,16 @@ if sys.platform == "linux" and not os.environ.get("DISPLAY"):
 FAMILY = "Meta-World/"  # what the worlds' ids begin with; the task follows
 STATE = "observation.state"
 ACTIONS = ("x", "y", "z", "gripper")  # how far the hand is to move, and how hard the fingers are to press
+_NOW = tuple(
+    f"{thing}_{number}"
+    for thing, numbers in (
+        ("hand", "xyz"),
+        ("gripper", ("opening",)),
+        *((name, ("x", "y", "z", "qx", "qy", "qz", "qw")) for name in ("object", "second")),
+    )
+    for number in numbers
+)
+DIMENSIONS = (*_NOW, *(f"{name}_before" for name in _NOW), "goal_x", "goal_y", "goal_z")
 FPS = 80
 MAX_STEPS = 400  # every expert below needs fewer, most of them a third
 VIEW = 480  # height and width, in pixels, of the view for people
@@ -220,6 +230,7 @@ def recording(world: str) -> Recording:
         actions=ACTIONS,
         fps=FPS,
         noisy=(1.0, 1.0, 1.0, 0.0),  # a disturbed gripper drops what it holds
+        states={STATE: DIMENSIONS},
     )
 
 
