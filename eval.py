@@ -87,6 +87,7 @@ class EvalOptions:
 def main(options: EvalOptions) -> None:
     """Run the planner in its world; print how it fared, and write it down."""
     from dpmacro.evaluation.summary import write_scalars
+    from dpmacro.utils.hparams import write_row
 
     source, name, trained_in, action_names = planner(options.policy)
     world = chosen_world(options, trained_in)
@@ -117,6 +118,7 @@ def main(options: EvalOptions) -> None:
     result = Result(world["id"], episodes, time.perf_counter() - started)
 
     write_scalars(result.write(output_dir / "eval_info.json", ran)["overall"], output_dir / "tensorboard")
+    write_row(output_dir / "tensorboard", compared(options, ran), scores(result.summary, source))
     (output_dir / PARTIAL).unlink(missing_ok=True)
     print(result.text())
     if options.videos:  # which take their time, and may be interrupted
@@ -168,6 +170,23 @@ class Result:
         with replacing(place) as path:
             path.write_text(json.dumps(info, indent=2) + "\n")
         return info
+
+
+def compared(options: EvalOptions, ran: dict[str, Any]) -> dict[str, Any]:
+    """The options that TensorBoard compares evaluations by: those of the policy's training, too."""
+    about = {"planner_run": ran["planner"], "recovery": ran["recovery"], "world": ran["world"]}
+    about |= {"episodes": options.episodes, "first_seed": options.seed}
+    trained = options.policy.path and options.policy.path / "train_config.json"
+    return (json.loads(trained.read_text()) if trained and trained.exists() else {}) | {"evaluation": about}
+
+
+def scores(summary: SuccessSummary, source: PlannerSource) -> dict[str, float]:
+    """What it compares them by: success and its 95% interval, and the scores of the policy's training."""
+    from dpmacro.utils.hparams import read_scores
+
+    low, high = summary.interval
+    known = read_scores(source.path) if source.path is not None else {}
+    return {"success": summary.rate, "success_low": low, "success_high": high} | known
 
 
 def keep_partial(

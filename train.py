@@ -17,18 +17,21 @@ import time
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from tqdm import tqdm
 
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.discovery.model_order import Choice
 from dpmacro.metrics import boundary_counts, frame_accuracy
 from dpmacro.metrics.success import wilson_interval
+from dpmacro.segmentation.segments import transition_counts
 from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
 from dpmacro.training.options import TrainOptions
 from dpmacro.training.run_folder import RunFolder
-from dpmacro.training.trainer import Trainer, TrainingResult
+from dpmacro.training.trainer import Trainer, TrainingResult, plain_options
 from dpmacro.utils import cli
+from dpmacro.utils.hparams import write_row, write_scores
 
 if TYPE_CHECKING:
     from dpmacro.training.dagger import Iteration
@@ -50,10 +53,43 @@ def main(options: TrainOptions) -> None:
         ).result
     else:
         result = Trainer(demonstrations, options, folder, given).train()
-    print(report(result, folder, time.perf_counter() - started))
+    seconds = time.perf_counter() - started
+    found = scores(result, demonstrations) | {"seconds": seconds}
+    write_scores(result.pretrained.parent, found)
+    write_row(folder.tensorboard, plain_options(options) | {"world": demonstrations.world}, found)
+    print(report(result, folder, seconds))
     if demonstrations.truth is not None:
-        labels = result.found.labels.numpy()[: len(demonstrations.truth)]  # DAgger appends others
-        print(truth_report(labels, demonstrations))
+        print(truth_report(own_labels(result, demonstrations), demonstrations))
+
+
+def own_labels(result: TrainingResult, demonstrations: Demonstrations) -> np.ndarray:
+    """The found labels [frames] of the demonstrations that were given: DAgger appends others."""
+    return result.found.labels.numpy()[: int(demonstrations.lengths.sum())]
+
+
+def changes(labels: np.ndarray, lengths: np.ndarray) -> float:
+    """Changes of macro-action in a demonstration, on average."""
+    return float(transition_counts(torch.from_numpy(labels), torch.from_numpy(lengths)).float().mean())
+
+
+def scores(result: TrainingResult, demonstrations: Demonstrations) -> dict[str, float]:
+    """What TensorBoard compares trainings by; scores against the truth where the dataset records one."""
+    found = result.found
+    labels = own_labels(result, demonstrations)
+    known = {
+        "objective": float(found.loss[-1]),
+        "macro_actions": float(result.policy.config.macros),
+        "transitions": changes(labels, demonstrations.lengths),
+    }
+    if len(found.switches.recognised):
+        known["recognised"] = float(found.switches.recognised.mean())
+    if result.choice is not None and result.choice.place is not None:
+        known["left_out_gain"] = result.choice.points[result.choice.place].gain
+    if demonstrations.truth is not None:
+        hits, made, true = boundary_counts(labels, demonstrations.truth, demonstrations.lengths, TOLERANCE)
+        known["frame_accuracy"] = frame_accuracy(labels, demonstrations.truth)
+        known["boundary_f1"] = 2 * hits / max(made + true, 1)
+    return known
 
 
 def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:

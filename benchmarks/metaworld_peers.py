@@ -110,7 +110,7 @@ def _neighbours_numbers(model: Any) -> int:
 
 
 def _network(seed: int) -> Any:
-    network = MLPRegressor((256, 256), max_iter=500, random_state=seed)
+    network = MLPRegressor(hidden_layer_sizes=(256, 256), max_iter=500, random_state=seed)
     return make_pipeline(StandardScaler(), network)
 
 

@@ -19,7 +19,7 @@ from dpmacro.worlds.base import SUCCESS, Episode, GenericDiagnosis, Recording
 __all__ = ["ACTIONS", "STAGES", "STATE", "Expert", "TwoPlaces", "TwoPlacesDiagnosis", "recording"]
 
 STATE = "observation.state"
-DIMENSIONS = tuple(f"{thing}_{axis}" for thing in ("hand", "blue", "red") for axis in "xyz")
+DIMENSIONS = (*(f"{thing}_{axis}" for thing in ("hand", "blue", "red") for axis in "xyz"), "contact")
 ACTIONS = ("x", "y", "z")
 STAGES = ("reach_blue", "press_blue", "reach_red", "press_red")
 OUTCOMES = (SUCCESS, "red_first", "blue_never_reached", "red_never_reached")
@@ -39,10 +39,11 @@ SIZE = 480  # height and width of the picture, pixels
 class TwoPlaces(gym.Env):
     """The hand, the blue and the red place, all of them somewhere else in each episode.
 
-    Observations are {"observation.state": float32 [9]}: where hand, blue and red are, metres. Actions are
-    float32 [3] in -1..1, how far the hand moves along every axis, in steps of a centimetre. An episode ends
-    with success when red is visited after blue, with failure when it is visited before, and is truncated
-    after `max_steps`. The info holds `is_success` and `phase`: 0 until blue is visited, 1 afterwards.
+    Observations are {"observation.state": float32 [10]}: where hand, blue and red are, metres, and 1 while
+    the hand touches a place, 0 elsewhere. Actions are float32 [3] in -1..1, how far the hand moves along
+    every axis, in steps of a centimetre. An episode ends with success when red is visited after blue, with
+    failure when it is visited before, and is truncated after `max_steps`. The info holds `is_success` and
+    `phase`: 0 until blue is visited, 1 afterwards.
 
     Attributes: `hand`, `places` (blue, then red) and `phase`, which are for experts.
 
@@ -120,8 +121,9 @@ class TwoPlaces(gym.Env):
         return bool(min(gaps) >= APART and np.linalg.norm(self.hand + along * way - red) >= CLEAR)
 
     @property
-    def _observation(self) -> dict[str, Float32[np.ndarray, "9"]]:
-        return {STATE: np.concatenate([self.hand, *self.places]).astype(np.float32)}
+    def _observation(self) -> dict[str, Float32[np.ndarray, "10"]]:
+        contact = float(any(self._visits(place) for place in self.places))
+        return {STATE: np.array([*self.hand, *self.places.flat, contact], np.float32)}
 
     def _visits(self, place: Float[np.ndarray, "3"]) -> bool:
         if not self.buttons:

@@ -25,6 +25,7 @@ from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 from dpmacro.utils import cli
 from dpmacro.worlds.two_flags.diagnosis import OUTCOMES
 from dpmacro.worlds.two_flags.env import ACTIONS
+from tests.utils.test_hparams import row
 
 SCRIPT = Path(__file__).parents[2] / "eval.py"
 WORLD = {"id": "TwoFlags-v0", "flags": "fixed", "layout_seed": 3, "max_steps": 60, "render_size": [64, 48]}
@@ -103,6 +104,10 @@ def test_the_teacher_as_a_command(tmp_path):
     events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
     assert events.Scalars("eval/pc_success")[0].value == 0.0
     assert "eval/avg_sum_reward" in events.Tags()["scalars"]
+    options, scores = row(tmp_path / "tensorboard")
+    assert (options["evaluation.planner_run"], options["evaluation.first_seed"]) == ("teacher", 7)
+    assert options["evaluation.world.yaw_noise"] == 0.5
+    assert scores["hparams/success"] == 0.0 and scores["hparams/success_high"] == pytest.approx(high)
 
 
 def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tmp_path, monkeypatch, capsys):
@@ -113,6 +118,7 @@ def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tm
     assert ours["world"] == expected
     assert (ours["planner"], ours["policy_path"], ours["recovery"]) == ("dpboost", str(policy), False)
     assert sum(failure["runs"] for failure in ours["failures"]) == 2
+    assert row(tmp_path / "tensorboard")[0]["evaluation.world.id"] == WORLD["id"]
     assert {failure["macro"] for failure in ours["failures"]} <= {0, 1}
     assert ", macro-action " in capsys.readouterr().out
 

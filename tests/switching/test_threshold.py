@@ -86,6 +86,20 @@ def test_a_change_within_the_tolerance_is_in_time(parts, tolerance):
         assert share == pytest.approx(max(served(level / 2) for level in range(-12, 13)))
 
 
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        ([([0, 0, 6], [10])], 8.0),  # both 3 and 8 are in time within a frame, 8 at the very one
+        ([([0, 0, 6], [10]), ([0, 0, 4], [9])], 7.5),
+        ([([0, 0, 6], [10]), ([0, 0, 9], [7])], 7.5),  # one of two at its frame
+        ([([0, 0, 6], [5])], 3.0),  # never at its frame: any that is in time
+    ],
+)
+def test_of_thresholds_that_serve_as_many_the_one_at_the_very_frames_wins(parts, expected):
+    segments, scores = changes_of(parts)
+    assert best_threshold(segments, scores, 1) == expected
+
+
 def test_without_segments_the_decision_boundary_stands():
     assert best_threshold([], torch.tensor([1.0, 2.0])) == 0.0
 

@@ -30,7 +30,9 @@ from dpmacro.training.data import TABLES
 from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.utils import cli
+from dpmacro.utils.hparams import read_scores
 from tests.data.test_demonstrations import SPOILED, root  # noqa: F401  a fixture
+from tests.utils.test_hparams import row
 
 SMALL = [  # cut by the actions alone but for `trained`: judging by switch functions takes most of the time
     "--planner.switch_weight=0",
@@ -133,6 +135,16 @@ def test_tensorboard_has_the_quantities_of_every_stage(trained):
         for name in ("timeline", "segmentation", "objective", "transitions", "pixels", "elbow")
     }
     assert len(events.Scalars("loss/fit")) == 12
+
+
+def test_tensorboard_compares_trainings(trained, recorded):
+    options, scores = row(trained / "tensorboard")
+    assert options["dataset.root"] == str(recorded) and options["planner.rounds"] == 12
+    assert options["world.id"] == "TwoFlags-v0"
+    kept = read_scores(trained / "checkpoints/last/pretrained_model")
+    assert scores == {f"hparams/{name}": pytest.approx(value) for name, value in kept.items()}
+    assert kept["macro_actions"] == 2 and 0 <= kept["frame_accuracy"] <= 1 and kept["seconds"] > 0
+    assert {"objective", "transitions", "recognised", "boundary_f1"} < set(kept)
 
 
 def test_the_policy_sees_in_a_run_what_the_trainer_saw(trained, recorded):

@@ -49,10 +49,11 @@ def test_a_seed_places_all_apart_and_within_reach(world, seed):
     again = gym.make(world).reset(seed=seed)[0][STATE]
     assert np.array_equal(state, again)
     assert env.observation_space.contains({STATE: state})
-    hand, blue, red = state.reshape(3, 3)
+    hand, blue, red = state[:9].reshape(3, 3)
+    assert state[9] == 0.0
     gaps = [np.linalg.norm(a - b) for a, b in ((hand, blue), (hand, red), (blue, red))]
     assert min(gaps) >= APART - 1e-6
-    assert (state.reshape(3, 3) >= LOW).all() and (state.reshape(3, 3) <= HIGH).all()
+    assert (state[:9].reshape(3, 3) >= LOW).all() and (state[:9].reshape(3, 3) <= HIGH).all()
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -63,7 +64,8 @@ def test_blue_then_red_is_success_and_red_first_is_failure(world):
     walked(env, over(blue))
     _, reward, ended, truncated, info = walked(env, into(blue))
     assert (reward, ended, truncated, info) == (0.0, False, False, {"is_success": False, "phase": 1})
-    walked(env, over(blue))
+    assert walked(env, into(blue))[0][STATE][9] == 1.0, "the contact is felt"
+    assert walked(env, over(blue))[0][STATE][9] == 0.0
     walked(env, over(red))
     _, reward, ended, truncated, info = walked(env, into(red))
     assert (reward, ended, truncated, info) == (1.0, True, False, {"is_success": True, "phase": 1})
@@ -174,7 +176,7 @@ def test_it_is_recorded_as_any_world(tmp_path):
     assert demonstrations.state_names[STATE] == DIMENSIONS
     wrong = replace(told, states={STATE: DIMENSIONS[1:]})
     with (
-        pytest.raises(WorldError, match=r"names 8 numbers of observation\.state, and the world"),
+        pytest.raises(WorldError, match=r"names 9 numbers of observation\.state, and the world"),
         writing_runs(tmp_path / "wrong", world, wrong) as writer,
     ):
         writer.add(run_expert(world, 0))
