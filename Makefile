@@ -11,7 +11,7 @@ BIN := $(VENV)/bin
 WORKERS ?= 2
 
 .PHONY: help venv test lint types pytest test-versions test-benchmarks demo clean-demo bench bench-segmentation \
-        bench-selectors bench-reading bench-files odd-datasets table lerobot-metaworld
+        bench-selectors bench-reading bench-files odd-datasets table table-metaworld lerobot-metaworld
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -133,6 +133,9 @@ $(BABYAI)/%/meta/info.json: | $(INSTALLED)
 
 $(METAWORLD)/%/meta/info.json: | $(SIMULATOR)
 	$(BIN)/python datasets/record.py --root=$(METAWORLD)/$* --world.id=Meta-World/$* --workers=$(WORKERS) --episodes=50 --noise=0.1 --seed=0
+
+table-metaworld: $(PEERS) $(SIMULATOR) ## policies in Meta-World beside other learners, into docs/metaworld.md (a day; BENCH=--rows='[dpmacro, trees]' for some)
+	$(BIN)/python benchmarks/table_metaworld.py --workers=$(WORKERS) --report=docs/metaworld.md $(BENCH)
 
 lerobot-metaworld: $(SIMULATOR) ## a policy in LeRobot's own Meta-World, by stock lerobot-eval (half an hour; BENCH=--task=... for another task)
 	$(BIN)/python benchmarks/lerobot_metaworld.py $(BENCH)

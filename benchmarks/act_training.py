@@ -16,6 +16,7 @@ normalisation. Kept are its defaults, but for these:
 import io
 import json
 import time
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -91,8 +92,9 @@ def train(
     seconds: float,
     steps: int | None,
     chunks: Chunks | None = None,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> Trained:
-    """Train until `seconds` have passed since `started`, a time.perf_counter(), or `steps` are done.
+    """Train until `seconds` have passed since `started` by the clock, or `steps` are done.
 
     `chunks` is what ACT is given of the demonstrations, by default images and classes.
     """
@@ -120,7 +122,7 @@ def train(
             optimizer.step()
             optimizer.zero_grad()
             errors.append(parts["l1_loss"])
-            passed = time.perf_counter() - started
+            passed = clock() - started
             bar.set_postfix_str(f"step {len(errors)}, error {np.mean(errors[-50:]):.3f}", refresh=False)
             bar.update(min(passed, seconds) - bar.n)
             if passed >= seconds or len(errors) == steps:

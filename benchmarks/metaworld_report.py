@@ -49,13 +49,13 @@ def main_table(rows: Sequence[Row]) -> list[str]:
                 *(_percent(*_pooled(found)) if found else "" for found in by_task.values()),
                 f"{fmean(_rate(found) for found in by_task.values()):.1%}" if complete else "",
                 _interval(*_pooled(own)),
-                _mean([row["training_seconds"] for row in own], "{:.0f}"),
+                _mean([row["training_cpu_seconds"] for row in own], "{:.0f}"),
                 _mean([row["milliseconds"]["mean"] for row in own], "{:.2f}"),
                 _mean([row["numbers"] for row in own], "{:,.0f}"),
             ]
         )
     short = [task.removesuffix("-v3") for task in tasks]
-    costs = ["mean", "95% interval", "training, s", "an action, ms", "numbers stored"]
+    costs = ["mean", "95% interval", "training, CPU s", "an action, ms", "numbers stored"]
     return _markdown(["success, %", *short, *costs], lines)
 
 

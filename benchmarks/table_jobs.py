@@ -8,6 +8,7 @@
 import json
 import os
 import re
+import resource
 import shlex
 import shutil
 import signal
@@ -62,7 +63,7 @@ def run(job: Job, commit: str, threads: int, moved: Callable[[int], None]) -> di
     log = _beside(job.folder, ".log")
     log.parent.mkdir(parents=True, exist_ok=True)
     command = [job.script, *job.options, *job.others]
-    started = time.perf_counter()
+    started, worked = time.perf_counter(), _worked()
     with log.open("wb") as output:
         child = subprocess.Popen(
             [sys.executable, str(ROOT / job.script), *command[1:]],
@@ -88,6 +89,7 @@ def run(job: Job, commit: str, threads: int, moved: Callable[[int], None]) -> di
         "commit": commit,
         "date": datetime.now().isoformat(timespec="seconds"),
         "seconds": round(time.perf_counter() - started, 1),
+        "cpu_seconds": round(_worked() - worked, 1),
     }
     with replacing(_beside(job.folder, ".json")) as path:
         path.write_text(json.dumps(stamp, indent=2) + "\n")
@@ -121,6 +123,12 @@ def progress(printed: str, total: int) -> int:
 
 def _beside(folder: Path, suffix: str) -> Path:
     return folder.with_name(folder.name + suffix)
+
+
+def _worked() -> float:
+    """CPU seconds of all scripts that have ended, and of their processes."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _running(child: subprocess.Popen) -> bool:

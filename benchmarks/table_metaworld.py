@@ -108,13 +108,17 @@ class TableOptions:
 
     @property
     def plan(self) -> list["Cell"]:
-        """The cells, seed by seed, so that a table that is stopped has whole columns."""
+        """The cells: the first training seed, then the others, then ACT, whose trainings take long."""
+        first, *others = self.train_seeds
+        ours, slow = (tuple(row for row in self.rows if row in kind) for kind in (OURS, ACT))
+        parts = [([first], [row for row in self.rows if row not in ACT]), (others, ours)]
+        parts += [([first], [row]) for row in slow]
         return [
             Cell(task, row, seed)
-            for seed in self.train_seeds
+            for seeds, rows in parts
+            for seed in seeds
             for task in self.tasks
-            for row in self.rows
-            if seed == self.train_seeds[0] or row in OURS
+            for row in rows
         ]
 
 
@@ -149,14 +153,14 @@ class Runs:
     def row(self, cell: Cell) -> dict[str, Any]:
         """The cell's results."""
         stamps, result = list(self._made(cell)), self._result(cell)
-        trained = stamps[0]["seconds"] if cell.row in OURS else result.get("training_seconds")
+        trained = stamps[0]["cpu_seconds"] if cell.row in OURS else result.get("training_seconds")
         return {
             "task": cell.task,
             "row": cell.row,
             "train_seed": None if cell.row == "expert" else cell.seed,
             "successes": sum(result["per_episode"]),
             "n": len(result["per_episode"]),
-            "training_seconds": trained,
+            "training_cpu_seconds": trained,
             "milliseconds": result["milliseconds"],
             "numbers": result.get("numbers"),
             "macro_actions": result.get("macro_actions"),
@@ -180,7 +184,7 @@ class Runs:
             others.append(f"--dataset={self._recorded(cell)}")
             run_options.append(f"--train_seed={cell.seed}")
         if cell.row in ACT:
-            seconds = ACT[cell.row] * self._trained(Cell(cell.task, "dpmacro", cell.seed))["seconds"]
+            seconds = ACT[cell.row] * self._trained(Cell(cell.task, "dpmacro", cell.seed))["cpu_seconds"]
             run_options[1] = "--planner=act"
             others.append(f"--seconds={seconds:.0f}")
         seed, episodes = FIRST_SEED[self.options.worlds], self.options.episodes

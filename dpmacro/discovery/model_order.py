@@ -9,7 +9,7 @@ from torch import Tensor
 from dpmacro.discovery.criteria import equally_good, standard_error
 from dpmacro.discovery.result import Discovery
 
-__all__ = ["Choice", "Point", "choose", "points"]
+__all__ = ["Choice", "Point", "choose", "points", "searches"]
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,28 @@ class Choice:
         """Q and S to follow."""
         found = self.discovery
         return (1, 0) if found is None else (found.macros, found.max_transitions)
+
+
+def searches(
+    max_macros: int, max_transitions: int | None, order: str, vectors: bool
+) -> list[tuple[int, int]]:
+    """Q and S of every search for an open number of macro-actions.
+
+    Of vectors there is one, with most macro-actions, whose result serves for all numbers of them
+    (`refinement.fewer`). With S = 2Q - 2 it cuts where one macro-action's own course changes, and policies
+    of such segmentations fail (docs/experiments.md).
+
+    Args:
+        max_macros: the largest Q.
+        max_transitions: S; None for Q - 1, and of classes in a free order 2Q - 2, too.
+        order: of macro-actions, "free" or "chain".
+        vectors: whether actions are vectors rather than classes.
+    """
+    numbers = [max_macros] if vectors else range(2, max_macros + 1)
+    times = (1,) if vectors or order == "chain" else (1, 2)
+    if max_transitions is not None:
+        return [(macros, max_transitions) for macros in numbers]
+    return [(macros, k * (macros - 1)) for macros in numbers for k in times]
 
 
 def points(discoveries: Sequence[Discovery]) -> list[Point]:

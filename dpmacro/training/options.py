@@ -102,7 +102,7 @@ class PlannerOptions:
     loss: str = "huber"
     """Loss of action vectors, huber or squared; discrete actions have the exponential loss."""
     max_transitions: int | None = None
-    """Most changes of macro-action in a demonstration, S; by default Q - 1 (auto tries 2Q - 2, too)."""
+    """Most changes of macro-action in a demonstration, S; by default Q - 1 (auto tries 2Q - 2 of classes)."""
     learner: str = "stumps"
     """Weak learners of the macro-actions' action classifiers, either stumps or convnet."""
     rounds: int = 300

@@ -16,7 +16,7 @@ from torch.utils.tensorboard import SummaryWriter
 from dpmacro import figures
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.discovery.fields import field_of
-from dpmacro.discovery.model_order import Choice, choose
+from dpmacro.discovery.model_order import Choice, choose, searches
 from dpmacro.discovery.order import order_of
 from dpmacro.discovery.refinement import fewer
 from dpmacro.discovery.result import Discovery
@@ -74,7 +74,7 @@ class Trainer:
         self.options = options
         self.folder = folder
         self.given = given
-        self._settings = _settings(options.planner)
+        self._settings = _settings(options.planner, demonstrations.vector)
         self._order_notes: tuple[str, ...] = ()
         most, n_frames = max(macros for macros, _ in self._settings), int(demonstrations.lengths.sum())
         if most > n_frames:
@@ -193,16 +193,17 @@ class Trainer:
                 f"{found.chain:.3g}, in any order {found.free:.3g} (squared error a frame)",
             )
         self.options = replace(self.options, planner=replace(planner, order=chosen))
-        self._settings, self._order_notes = _settings(self.options.planner), notes
+        self._settings = _settings(self.options.planner, self.demonstrations.vector)
+        self._order_notes = notes
 
     def _choose(self, data: SortedLevels, writer: SummaryWriter) -> Choice:
         """Search with every setting, one macro-action aside, and choose by data that was left out.
 
-        Of vectors the search with most macro-actions serves for all numbers of them (`refinement.fewer`): one
-        more always explains a little more, and two that differ little are made one.
+        Of vectors there is one search, with most macro-actions, that serves for all numbers of them
+        (`refinement.fewer`): one more always explains a little more, and two that differ little are made one.
         """
         vectors, discoveries = self.demonstrations.vector, []
-        for macros, bound in self._settings[-1:] if vectors else self._settings[1:]:
+        for macros, bound in self._settings[1:]:
             monitor = Monitor(writer, self.demonstrations, macros, f"Q{macros}_S{bound}")
             shared = {"groups": self.data.groups, "on_round": monitor.on_round}
             given = data, self.data.actions, self.data.lengths
@@ -271,7 +272,7 @@ class Trainer:
         return MacroPolicy.compact(config, columns.encoder, columns.quantiser, *learned, stretches)
 
 
-def _settings(planner: PlannerOptions) -> list[tuple[int, int]]:
+def _settings(planner: PlannerOptions, vectors: bool) -> list[tuple[int, int]]:
     """Q and S of every search that the options ask for; where there is a choice, one macro-action first."""
     given = planner.max_transitions
     if planner.type == "baseline":
@@ -280,13 +281,7 @@ def _settings(planner: PlannerOptions) -> list[tuple[int, int]]:
         raise ValueError("planner.macros is not given: give the number of names that the labels have")
     if isinstance(planner.macros, int):
         return [(planner.macros, planner.macros - 1 if given is None else given)]
-    numbers = range(2, planner.max_macros + 1)
-    most = 1 if planner.order == "chain" else 2
-    bounds = {
-        macros: tuple(k * (macros - 1) for k in range(1, most + 1)) if given is None else (given,)
-        for macros in numbers
-    }
-    return [(1, 0), *((macros, bound) for macros in numbers for bound in bounds[macros])]
+    return [(1, 0), *searches(planner.max_macros, given, planner.order, vectors)]
 
 
 def plain_options(options: TrainOptions) -> dict[str, Any]:

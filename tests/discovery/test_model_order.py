@@ -8,7 +8,7 @@ from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.discovery.alternation import Alternated
 from dpmacro.discovery.candidates import Candidate, Task
 from dpmacro.discovery.criteria import standard_error
-from dpmacro.discovery.model_order import Choice, Point, choose, points
+from dpmacro.discovery.model_order import Choice, Point, choose, points, searches
 from dpmacro.discovery.result import Discovery
 from tests.discovery.test_criteria import PAIRED, STEP, losses, scored
 
@@ -148,3 +148,18 @@ def test_one_macro_action_is_an_answer(tried):
     choice = choose(tried)
     assert choice == Choice(tuple(tried), tuple(points(tried)), None)
     assert choice.discovery is None and choice.setting == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("max_transitions", "order", "vectors", "expected"),
+    [
+        (None, "free", False, [(2, 1), (2, 2), (3, 2), (3, 4)]),
+        (None, "chain", False, [(2, 1), (3, 2)]),
+        (5, "free", False, [(2, 5), (3, 5)]),
+        (None, "free", True, [(3, 2)]),
+        (None, "chain", True, [(3, 2)]),
+        (5, "free", True, [(3, 5)]),
+    ],
+)
+def test_the_searches_for_an_open_number(max_transitions, order, vectors, expected):
+    assert searches(3, max_transitions, order, vectors) == expected
