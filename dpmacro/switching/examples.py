@@ -20,7 +20,6 @@ def examples(
     shown: Bool[Tensor, " frames"],
     window: int,
     whole_past: bool,
-    tolerance: int,
     lengths: Int64[Tensor, " trajectories"],
 ) -> tuple[Float[Tensor, " frames"], Bool[Tensor, " frames"]]:
     """Base weights, half a side, and targets of a switch function that never sees what is left out.
@@ -33,7 +32,6 @@ def examples(
         window: J, the positive frames from a change on; fewer where the next segment is shorter.
         whole_past: whether the negatives are all frames of the trajectory before a change of the pair (the
             paper's), instead of those of all segments of the pair's first macro-action.
-        tolerance: frames before a change that are no examples, since it may lie there as well.
         lengths: frames of every trajectory.
     """
     weights = torch.zeros(len(shown))
@@ -46,7 +44,6 @@ def examples(
         weights[firsts[segment.trajectory] if whole_past else segment.start : segment.stop] = 1
         if changes:
             positives = slice(segment.stop, min(segment.stop + window, segment.following_stop))
-            weights[max(segment.stop - tolerance, segment.start) : segment.stop] = 0
             weights[positives] = 1
             targets[positives] = True
     return _balanced(weights * shown, targets), targets

@@ -46,7 +46,7 @@ class SwitchSettings:
         cues: whether a function may fire only after the actions that come before its changes.
         aligned: whether changes are moved to where left-out functions fire before the final fit.
         tolerance: frames by which a function may fire early or late and still recognises its change, 0 or
-            more; as many before a change are no examples.
+            more.
     """
 
     rounds: int = 400
@@ -125,7 +125,7 @@ def fit_switches(
     fold_of = folds_of(len(lengths), settings.folds, generator, groups)
     n_folds = int(fold_of.max()) + 1 if fold_of.any() else 0
     folds = [_fold(fold_of == fold, pairs, segments, lengths, actions) for fold in [*range(n_folds), -1]]
-    how = settings.window, settings.whole_past, settings.tolerance
+    how = settings.window, settings.whole_past
     weights, targets = zip(
         *(
             examples(pair, segments, fold.left_out, shown, *how, lengths)

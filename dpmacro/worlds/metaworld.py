@@ -74,6 +74,8 @@ TASKS: dict[str, tuple[str, ...]] = {
     "bin-picking-v3": ("approach", "descend", "lift", "carry", "place"),
     "disassemble-v3": ("approach", "descend", "lift"),
     "basketball-v3": ("approach", "descend", "lift", "carry"),
+    "hand-insert-v3": ("approach", "descend", "carry", "lower"),
+    "pick-place-wall-v3": ("approach", "descend", "lift", "cross", "level", "carry"),
 }
 
 

@@ -54,8 +54,12 @@ def test_the_plan_has_every_seed_of_ours_and_acts_last():
     options = TableOptions(tasks=["hammer-v3", "TwoGoals-v0"], train_seeds=[0, 1])
     names = [cell.name for cell in options.plan]
     assert len(names) == len(set(names)) == 2 * (9 + 3)
-    assert names[0] == "hammer-v3_expert" and names[8] == "TwoGoals-v0_one_0"
-    assert names[14:17] == ["hammer-v3_one_1", "hammer-v3_dpmacro_1", "hammer-v3_stages_1"]
+    assert names[0] == "hammer-v3_expert" and names[7:10] == [
+        "hammer-v3_act_0",
+        "TwoGoals-v0_expert",
+        "TwoGoals-v0_one_0",
+    ]
+    assert names[16:19] == ["hammer-v3_one_1", "hammer-v3_dpmacro_1", "hammer-v3_stages_1"]
     assert names[-2:] == ["hammer-v3_act-10_0", "TwoGoals-v0_act-10_0"]
     assert world_of("hammer-v3") == "Meta-World/hammer-v3" and world_of("TwoGoals-v0") == "TwoGoals-v0"
 

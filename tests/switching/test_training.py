@@ -240,22 +240,19 @@ def test_examples_are_the_frames_from_a_change_on_and_those_before_it(data, whol
     window, n_frames = data.draw(st.integers(1, 5)), sum(map(len, parts))
     left_out = data.draw(st.lists(st.booleans(), min_size=len(parts), max_size=len(parts)))
     shown = data.draw(st.lists(st.booleans(), min_size=n_frames, max_size=n_frames))
-    tolerance = 0 if whole_past else data.draw(st.integers(0, 3))
     side = []
     for part, out in zip(parts, left_out, strict=True):
         last = max((n for n in range(1, len(part)) if part[n - 1 : n + 1] == [0, 1]), default=0)
         for frame, macro in enumerate(part):
             since = next((k for k in range(frame, 0, -1) if part[k - 1] != part[k]), 0)  # its segment's start
             positive = since > 0 and (part[since - 1], macro) == (0, 1) and frame - since < window
-            ends = next((k for k in range(frame, len(part)) if part[k] != macro), None)
-            near = ends is not None and (macro, part[ends]) == (0, 1) and ends - frame <= tolerance
-            negative = frame < last if whole_past else macro == 0 and not near
+            negative = frame < last if whole_past else macro == 0
             side.append(
                 "" if out or not shown[len(side)] else "positive" if positive else "negative" * negative
             )
     labels, lengths = torch.tensor([*chain(*parts)]), torch.tensor([len(part) for part in parts])
     segments = macro_segments(labels, lengths)
-    given = segments, torch.tensor(left_out), torch.tensor(shown), window, whole_past, tolerance, lengths
+    given = segments, torch.tensor(left_out), torch.tensor(shown), window, whole_past, lengths
     weights, targets = examples((0, 1), *given)
     for name, own in (("positive", targets), ("negative", ~targets)):
         expected = torch.tensor([float(found == name) for found in side])
