@@ -110,7 +110,9 @@ def _neighbours_numbers(model: Any) -> int:
 
 
 def _network(seed: int) -> Any:
-    network = MLPRegressor(hidden_layer_sizes=(256, 256), max_iter=500, random_state=seed)
+    # Its own defaults end after a second of training.
+    patience = {"max_iter": 2000, "n_iter_no_change": 100, "tol": 1e-5}
+    network = MLPRegressor(hidden_layer_sizes=(256, 256), random_state=seed, **patience)
     return make_pipeline(StandardScaler(), network)
 
 
