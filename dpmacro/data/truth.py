@@ -10,12 +10,13 @@ from dpmacro.data.lerobot.reader import StoredDataset
 
 __all__ = ["choose_truth", "true_labels"]
 
+COUNTERS = ("frame_index", "episode_index", "index")  # of LeRobot's, which number frames
 MOST_CLASSES = 1000  # of labels; a column with more is of something else, as times or identifiers
 
 
 def choose_truth(store: StoredDataset, truth: str | None) -> str | None:
     """The column of true labels; None where neither the caller nor the data names one."""
-    whole = [name for name, feature in store.features.items() if _may_be_labels(feature)]
+    whole = [name for name, one in store.features.items() if name not in COUNTERS and _may_be_labels(one)]
     if truth is None:
         return next((name for name in (*store.truth, "phase", "subgoal") if name in whole), None)
     if truth == "none":

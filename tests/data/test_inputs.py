@@ -171,6 +171,7 @@ def test_inputs_are_those_asked_for(root):
         ({"action": CAMERA}, rf"{CAMERA}: holds values of type struct.*dpmacro reads numbers"),
         ({"task": "fly"}, r"no episode of task 'fly' among those chosen; there are 'stack'"),
         ({"truth": "action"}, r"no integer column 'action' to be the truth"),
+        ({"truth": "frame_index"}, r"no integer column 'frame_index' to be the truth"),
     ],
 )
 def test_what_is_not_there_is_told(root, options, message):
