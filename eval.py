@@ -174,10 +174,11 @@ class Result:
 
 def compared(options: EvalOptions, ran: dict[str, Any]) -> dict[str, Any]:
     """The options that TensorBoard compares evaluations by: those of the policy's training, too."""
-    about = {"planner_run": ran["planner"], "recovery": ran["recovery"], "world": ran["world"]}
+    about = {"planner": ran["planner"], "recovery": ran["recovery"]}
     about |= {"episodes": options.episodes, "first_seed": options.seed}
     trained = options.policy.path and options.policy.path / "train_config.json"
-    return (json.loads(trained.read_text()) if trained and trained.exists() else {}) | {"evaluation": about}
+    known = json.loads(trained.read_text()) if trained and trained.exists() else {}
+    return known | {"world": ran["world"], "evaluation": about}
 
 
 def scores(summary: SuccessSummary, source: PlannerSource) -> dict[str, float]:

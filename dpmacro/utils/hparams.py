@@ -1,4 +1,8 @@
-"""TensorBoard's HParams dashboard: a row for every training and evaluation, its options beside its scores."""
+"""TensorBoard's HParams dashboard: a row for every training and evaluation, its options beside its scores.
+
+The dashboard sorts options by their names, capitals first, and shows the first five unless more are ticked.
+So those that trainings differ in most stand there once more, with a capital.
+"""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -11,6 +15,13 @@ from dpmacro.utils.files import replacing
 
 __all__ = ["flat", "read_scores", "write_row", "write_scores"]
 
+FIRST = {
+    "Inputs": "dataset.inputs",
+    "Q": "planner.macros",
+    "S": "planner.max_transitions",
+    "Seed": "seed",
+    "World": "world.id",
+}
 SCORES = "training_state/scores.json"  # beside a checkpoint's pretrained_model
 
 
@@ -20,11 +31,19 @@ def flat(options: Mapping[str, Any]) -> dict[str, bool | int | float | str]:
 
 
 def write_row(folder: Path, options: Mapping[str, Any], scores: Mapping[str, float]) -> None:
-    """Write the row of a run whose TensorBoard events are in `folder`; every score is a scalar there, too."""
+    """Write the row of a run whose TensorBoard events are in `folder`; every score is a scalar there, too.
+
+    Args:
+        folder: of the run's events.
+        options: those of train.py, as far as they are known, and `world`, the world that was run in or
+            recorded.
+        scores: by name.
+    """
+    row = flat(options)
+    first = {title: str(row[name]) for title, name in FIRST.items() if name in row}
+    tags = {f"score/{name}": score for name, score in scores.items()}
     with SummaryWriter(str(folder)) as writer:
-        writer.add_hparams(
-            flat(options), {f"hparams/{name}": one for name, one in scores.items()}, run_name="."
-        )
+        writer.add_hparams(first | row, tags, run_name=".")
 
 
 def write_scores(checkpoint: Path, scores: Mapping[str, float]) -> None:

@@ -105,9 +105,9 @@ def test_the_teacher_as_a_command(tmp_path):
     assert events.Scalars("eval/pc_success")[0].value == 0.0
     assert "eval/avg_sum_reward" in events.Tags()["scalars"]
     options, scores = row(tmp_path / "tensorboard")
-    assert (options["evaluation.planner_run"], options["evaluation.first_seed"]) == ("teacher", 7)
-    assert options["evaluation.world.yaw_noise"] == 0.5
-    assert scores["hparams/success"] == 0.0 and scores["hparams/success_high"] == pytest.approx(high)
+    assert (options["evaluation.planner"], options["evaluation.first_seed"]) == ("teacher", 7)
+    assert options["world.yaw_noise"] == 0.5
+    assert scores["score/success"] == 0.0 and scores["score/success_high"] == pytest.approx(high)
 
 
 def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tmp_path, monkeypatch, capsys):
@@ -118,7 +118,7 @@ def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tm
     assert ours["world"] == expected
     assert (ours["planner"], ours["policy_path"], ours["recovery"]) == ("dpboost", str(policy), False)
     assert sum(failure["runs"] for failure in ours["failures"]) == 2
-    assert row(tmp_path / "tensorboard")[0]["evaluation.world.id"] == WORLD["id"]
+    assert row(tmp_path / "tensorboard")[0]["world.id"] == WORLD["id"]
     assert {failure["macro"] for failure in ours["failures"]} <= {0, 1}
     assert ", macro-action " in capsys.readouterr().out
 

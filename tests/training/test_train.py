@@ -142,7 +142,7 @@ def test_tensorboard_compares_trainings(trained, recorded):
     assert options["dataset.root"] == str(recorded) and options["planner.rounds"] == 12
     assert options["world.id"] == "TwoFlags-v0"
     kept = read_scores(trained / "checkpoints/last/pretrained_model")
-    assert scores == {f"hparams/{name}": pytest.approx(value) for name, value in kept.items()}
+    assert scores == {f"score/{name}": pytest.approx(value) for name, value in kept.items()}
     assert kept["macro_actions"] == 2 and 0 <= kept["frame_accuracy"] <= 1 and kept["seconds"] > 0
     assert {"objective", "transitions", "recognised", "boundary_f1"} < set(kept)
 
