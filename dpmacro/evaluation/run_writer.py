@@ -14,12 +14,14 @@ from jaxtyping import Float32
 from dpmacro.data.images import DatasetError
 from dpmacro.data.lerobot.compat import create_dataset, embedding_at_once, quiet
 from dpmacro.data.lerobot.reader import WORLD_FILE
-from dpmacro.data.lerobot.writer import VIEW
 from dpmacro.evaluation.recording import Run
 from dpmacro.utils import interrupts
 from dpmacro.worlds.base import Recording, WorldError
 
-__all__ = ["RunWriter", "writing_runs"]
+__all__ = ["VIEW", "RunWriter", "writing_runs"]
+
+VIEW = "observation.images.view"
+"""The camera of pictures for people, stored as video."""
 
 
 @contextmanager
