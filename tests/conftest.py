@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from noise import ACTIONS, PHASES, WORLD, random_episodes
+from noise import random_episodes, write
 
 # The folders and files whose modules take longest, the longest first.
 SLOW = (
@@ -71,10 +71,4 @@ def _take_one_thread() -> None:
 @pytest.fixture(scope="session")
 def recorded(tmp_path_factory) -> Path:
     """A dataset of `random_episodes()`; tests that change it work on a copy."""
-    from dpmacro.data.lerobot.writer import DemonstrationWriter
-
-    root = tmp_path_factory.mktemp("recorded") / "two_flags"
-    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False, classes=PHASES) as writer:
-        for episode in random_episodes():
-            writer.add_episode(**episode)
-    return root
+    return write(tmp_path_factory.mktemp("recorded") / "two_flags", random_episodes())

@@ -3,7 +3,7 @@
 import functools
 import itertools
 import json
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,21 +18,23 @@ from dpmacro.worlds.making import blamed, import_package, make_world
 from dpmacro.worlds.observations import ObservationMap
 from dpmacro.worlds.success import SuccessRule
 
-__all__ = ["Run", "check_expert", "expert_runs", "run_expert", "true_labels"]
+__all__ = ["Run", "check_expert", "expert_runs", "run_expert", "run_of", "true_labels"]
 
 
 @dataclass(frozen=True)
 class Run:
-    """A successful run of an expert; frame t holds the observation before action t.
+    """A run with an expert's actions; frame t holds the observation before action t.
 
     Attributes:
         observations: by LeRobot's keys; pictures uint8 [frames, height, width, 3], vectors float32
             [frames, size].
-        actions: what the expert chose, classes or vectors; noise may have been added to what was done.
+        actions: what the expert chose, classes or vectors; something else may have been done, as in runs with
+            noise.
         truth: numbers of true labels, by column.
         rewards: what every action earned.
         task: in words.
         views: pictures for people; None unless asked for.
+        success: whether the run ended well.
     """
 
     observations: dict[str, np.ndarray]
@@ -41,6 +43,28 @@ class Run:
     rewards: Float32[np.ndarray, " frames"]
     task: str
     views: UInt8[np.ndarray, "frames view_height view_width 3"] | None = None
+    success: bool = True
+
+
+def run_of(
+    shown: Sequence[Mapping[str, np.ndarray]],
+    actions: Sequence[Any],
+    truth: Sequence[Mapping[str, int]],
+    rewards: Sequence[float],
+    task: str,
+    views: Sequence[np.ndarray] = (),
+    success: bool = True,
+) -> Run:
+    """The run whose frames, at least one, were kept in lists; what the parts are is said in `Run`."""
+    return Run(
+        observations={key: np.stack([one[key] for one in shown]) for key in shown[0]},
+        actions=np.array(actions, np.float32 if np.ndim(actions[0]) else np.int64),
+        truth={name: np.array([one[name] for one in truth], np.int64) for name in truth[0]},
+        rewards=np.array(rewards, np.float32),
+        task=task,
+        views=np.stack(views) if len(views) else None,
+        success=success,
+    )
 
 
 def expert_runs(
@@ -147,15 +171,7 @@ class _Set:
         shown, actions, truth, rewards = zip(*frames, strict=True)
         if not self.rule.judge(info, rewards[-1], sum(rewards), bool(terminated))[0]:
             return None
-        vectors = np.ndim(actions[0]) == 1
-        return Run(
-            observations={key: np.stack([one[key] for one in shown]) for key in self.sees.places},
-            actions=np.array(actions, np.float32 if vectors else np.int64),
-            truth={name: np.array([one[name] for one in truth], np.int64) for name in self.told.truth},
-            rewards=np.array(rewards, np.float32),
-            task=task,
-            views=np.stack(views) if self.view else None,
-        )
+        return run_of(shown, actions, truth, rewards, task, views)
 
     def _disturbed(self, action: Any, rng: np.random.Generator) -> Any:
         """The action that is done in place of the one that the expert chose."""

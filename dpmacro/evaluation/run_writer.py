@@ -1,4 +1,4 @@
-"""Runs of experts as a LeRobot dataset, whatever a world shows and takes."""
+"""Runs with an expert's actions as a LeRobot dataset, whatever a world shows and takes."""
 
 import json
 import shutil
@@ -14,12 +14,14 @@ from jaxtyping import Float32
 from dpmacro.data.images import DatasetError
 from dpmacro.data.lerobot.compat import create_dataset, embedding_at_once, quiet
 from dpmacro.data.lerobot.reader import WORLD_FILE
-from dpmacro.data.lerobot.writer import VIEW
 from dpmacro.evaluation.recording import Run
 from dpmacro.utils import interrupts
 from dpmacro.worlds.base import Recording, WorldError
 
-__all__ = ["RunWriter", "writing_runs"]
+__all__ = ["VIEW", "RunWriter", "writing_runs"]
+
+VIEW = "observation.images.view"
+"""The camera of pictures for people, stored as video."""
 
 
 @contextmanager
@@ -77,10 +79,16 @@ class RunWriter:
     def add(self, run: Run) -> None:
         """Append a run of at least two frames.
 
-        Raises ValueError for an action or a true label beyond the names there are, and for observations of
-        other sizes than those of the first run.
+        Raises ValueError for one frame only, a single class, an action or a true label beyond the names there
+        are, and for observations and views that are others than those of the first run.
         """
         told, classes = self._told, run.actions.ndim == 1
+        if len(run.actions) < 2:
+            raise ValueError(
+                f"a run of {len(run.actions)} frame: demonstrations have at least two, leave it out"
+            )
+        if classes and len(told.actions) < 2:
+            raise ValueError(f"the only action is {told.actions[0]!r}: LeRobot's tools need two at least")
         columns = {"actions": (run.actions, told.actions)} if classes else {}
         columns |= {name: (run.truth[name], names) for name, names in told.truth.items()}
         for what, (values, names) in columns.items():
@@ -94,26 +102,27 @@ class RunWriter:
             self._features = features
             with interrupts.held_back():
                 self._dataset = create_dataset(self._folder, told.fps, features)
-        for name, feature in features.items():
-            if feature != self._features.get(name):
+        for name in {**self._features, **features}:
+            first, now = (of.get(name, {}).get("shape") for of in (self._features, features))
+            if first != now:
                 raise ValueError(
-                    f"{name} has shape {feature['shape']}, and had "
-                    f"{self._features.get(name, {}).get('shape')} in the first run: record one world"
+                    f"{name} has shape {now}, and had {first} in the first run: record one world, with or "
+                    "without views"
                 )
-        last = len(run.actions) - 1
+        ends = np.arange(len(run.actions)) == len(run.actions) - 1
         vectors = np.eye(len(told.actions), dtype=np.float32)[run.actions] if classes else run.actions
         every = {**run.observations, "action": vectors}
         every |= {VIEW: run.views} if run.views is not None else {}
         pictures = any(values.ndim == 4 for values in every.values())
         single = {"discrete_action": run.actions} if classes else {}
         single |= {**run.truth, "next.reward": run.rewards}
+        single |= {"next.done": ends, "next.success": ends & run.success}
         # Within, Hugging Face's `datasets` would now and then swallow an interrupt.
         with interrupts.held_back(), quiet():
             for t in range(len(run.actions)):
                 self._dataset.add_frame(
                     {name: values[t] for name, values in every.items()}
                     | {name: values[t : t + 1] for name, values in single.items()}
-                    | {"next.done": np.array([t == last]), "next.success": np.array([t == last])}
                     | {"task": run.task}
                 )
             with embedding_at_once() if pictures else nullcontext():

@@ -1,7 +1,7 @@
 """DAgger: demonstrations aggregated from the states that the planner itself visits (Ross et al. 2011).
 
 The paper's conclusion promises it. Every iteration runs the planner in new worlds while the teacher says what
-it would do there (`collection.py`), appends those runs to a LeRobot dataset and trains on all there is.
+it would do there (`collection.py`), writes those runs as a LeRobot dataset and trains on all there is.
 Their macro-labels come from the segmentation under the planner's own classifiers and switch functions, as
 those of any new demonstration do; the search for macro-actions is not repeated. Success in validation worlds
 says which iteration to keep.
@@ -21,18 +21,22 @@ from tqdm import tqdm
 from dpmacro.annotation.annotate import annotate
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.images import ImageTransform
-from dpmacro.data.lerobot.writer import DemonstrationWriter
 from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes
-from dpmacro.training.collection import Visit, gather
+from dpmacro.evaluation.run_writer import writing_runs
+from dpmacro.training.collection import gather
 from dpmacro.training.options import DaggerOptions, TrainOptions
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer, TrainingResult, plain_options
 from dpmacro.worlds import EXPERTS, entry_of, recording_of
-from dpmacro.worlds.making import import_package
+from dpmacro.worlds.actions import ActionMap
+from dpmacro.worlds.base import Recording
+from dpmacro.worlds.making import import_package, make_world
+from dpmacro.worlds.observations import ObservationMap
 
 __all__ = ["DRIVERS", "Iteration", "aggregate"]
 
-DRIVERS = {"driver": ("planner", "teacher")}  # a column of the gathered dataset
+DRIVERS = {"driver": ("planner", "teacher")}  # a column of the gathered datasets
+TASK = "task_index"  # an observation of demonstrations that no world shows
 PATIENCE = 2  # iterations in a row without a new best
 
 
@@ -57,11 +61,12 @@ def aggregate(
     """Train, gather and train again, `options.dagger.iterations` times at most; the best of all planners.
 
     Ends early after `PATIENCE` iterations without a new best; of equals the earlier is kept. Every iteration
-    is a run of its own in `<folder>/iterations/<number>`, the gathered demonstrations are the LeRobot dataset
-    `<folder>/gathered`, and the best planner is the run's checkpoint.
+    is a run of its own in `<folder>/iterations/<number>`, the runs gathered for it are the LeRobot dataset
+    `<folder>/gathered/<number>`, and the best planner is the run's checkpoint.
 
-    Raises ValueError where the demonstrations name no world that has a teacher, see anything but one camera,
-    or have vectors as actions.
+    Raises ValueError where the demonstrations name no world that has a teacher, the world shows or takes
+    other things than they have, or the task of a frame is to be an input, which no world shows; WorldError
+    where the world fails in a run.
     """
     dagger = options.dagger
     import_package(demonstrations.world)
@@ -70,20 +75,22 @@ def aggregate(
             f"{demonstrations.root} was recorded in the world {demonstrations.world.get('id')!r}: "
             f"--dagger.iterations needs one whose teacher can be asked, {' or '.join(EXPERTS)}"
         )
-    if demonstrations.vector or list(demonstrations.observations) != list(demonstrations.cameras[:1]):
-        raise ValueError(
-            f"{demonstrations.root} has {', '.join(demonstrations.observations)} and actions of "
-            f"{'vectors' if demonstrations.vector else 'classes'}: --dagger.iterations needs one camera, "
-            "chosen by --dataset.inputs, and classes"
-        )
+    told = _told(demonstrations)
+    _check_world(demonstrations)
     runs = folder.path / "iterations"
-    result = Trainer(demonstrations, options, RunFolder(runs / "0")).train()
+    trainer = Trainer(demonstrations, options, RunFolder(runs / "0"))
+    if TASK in trainer.data.encoder.keys:
+        raise ValueError(
+            f"{demonstrations.root} has {len(demonstrations.tasks)} tasks, and no world shows the task of a "
+            "frame: choose one by --dataset.task"
+        )
+    result = trainer.train()
     with SummaryWriter(str(folder.tensorboard)) as writer:
         best = latest = _validated(0, result, len(demonstrations.lengths), float("nan"), dagger)
-        known = demonstrations
+        known = _without_task(demonstrations)
         _tell(latest, writer, on_iteration)
         for number in range(1, dagger.iterations + 1):
-            new, agreement = _gathered(latest, demonstrations, dagger, folder.path / "gathered")
+            new, agreement = _gathered(latest, known, told, dagger, folder.path / "gathered")
             labels = torch.cat([latest.result.found.labels, annotate(latest.result.policy, new).labels])
             known = known.joined(new)
             trainer = Trainer(known, _settled(options, latest.result), RunFolder(runs / str(number)))
@@ -113,54 +120,88 @@ def _validated(
 
 
 def _gathered(
-    latest: Iteration, demonstrations: Demonstrations, dagger: DaggerOptions, root: Path
+    latest: Iteration, known: Demonstrations, told: Recording, dagger: DaggerOptions, folder: Path
 ) -> tuple[Demonstrations, float]:
-    """New runs of the latest planner, appended to the dataset at `root`, and how often it agreed there."""
-    source, world = PlannerSource("policy", latest.result.pretrained), demonstrations.world
+    """New runs of the latest planner, also as a dataset in `folder`, and how often it agreed there."""
+    source, world = PlannerSource("policy", latest.result.pretrained), known.world
     first = dagger.seed + latest.number * dagger.episodes
+    seeds, root = range(first, first + dagger.episodes), folder / str(latest.number + 1)
     agreed: list[np.ndarray] = []
     with (
-        _writer(root, demonstrations) as writer,
-        closing(gather(source, world, range(first, first + dagger.episodes), dagger.workers)) as visits,
+        writing_runs(root, world, told) as writer,
+        closing(gather(source, world, _inputs(known), seeds, dagger.workers)) as visits,
         tqdm(visits, f"Gathering {latest.number + 1}", dagger.episodes, unit="run") as bar,
     ):
         for visit in bar:
-            _add(writer, visit, recording_of(world["id"]).task)
+            if visit is None or len(visit.taught) < 2:  # a trajectory has two frames at least
+                continue
+            driver = dict(zip(DRIVERS, [visit.taught.astype(np.int64)], strict=True))
+            writer.add(replace(visit.run, truth=visit.run.truth | driver))
             agreed.append(visit.agreed[~visit.taught])
-    height, width = demonstrations.images.shape[1:3]
-    transform = ImageTransform((width, height))
-    stored = Demonstrations.load(root, inputs=demonstrations.cameras, transform=transform)
-    new = range(len(stored.lengths) - dagger.episodes, len(stored.lengths))
-    return stored.select(new), float(np.concatenate(agreed).mean())
-
-
-def _writer(root: Path, demonstrations: Demonstrations) -> DemonstrationWriter:
-    if root.exists():
-        return DemonstrationWriter.extend(root)
-    names = demonstrations.action_names
-    classes = {**recording_of(demonstrations.world["id"]).truth, **DRIVERS}
-    return DemonstrationWriter.create(
+        if not agreed:
+            raise ValueError(
+                f"all runs of seeds {seeds[0]} to {seeds[-1]} in {world['id']} ended on their first frame: "
+                "give another --dagger.seed"
+            )
+    sizes = {camera: known.observations[camera].shape[2:0:-1] for camera in known.cameras}
+    new = Demonstrations.load(
         root,
-        names,
-        round(demonstrations.fps),
-        demonstrations.world,
-        False,
-        classes,
+        inputs=list(known.observations),
+        truth=known.truth_name if known.truth_name in told.truth else "none",
+        transform=ImageTransform(sizes),
+    )
+    return replace(_without_task(new), tasks=known.tasks), float(np.concatenate(agreed).mean())
+
+
+def _told(demonstrations: Demonstrations) -> Recording:
+    """What the gathered datasets say: what recordings of the world do, by the demonstrations' own names."""
+    told = recording_of(demonstrations.world["id"])
+    return replace(
+        told,
+        truth={**told.truth, **DRIVERS},
+        actions=demonstrations.action_names,
+        fps=round(demonstrations.fps),
         symmetric=demonstrations.symmetric,
+        states=demonstrations.state_names,
     )
 
 
-def _add(writer: DemonstrationWriter, visit: Visit, task: str) -> None:
-    truth = {**visit.truth, "driver": visit.taught.astype(np.int64)}
-    writer.add_episode(visit.images, visit.actions, truth, visit.rewards, visit.success, task)
+def _inputs(demonstrations: Demonstrations) -> dict[str, tuple[int, ...]]:
+    """What a world has to show: shapes by LeRobot's keys, of pictures before they were shrunk."""
+    shapes = {
+        key: (*stored, 3) if (stored := demonstrations.stored_shapes.get(key)) else values.shape[1:]
+        for key, values in demonstrations.observations.items()
+    }
+    return {key: shape for key, shape in shapes.items() if key != TASK}
+
+
+def _check_world(demonstrations: Demonstrations) -> None:
+    """Raise WorldError where the world shows or takes other things than the demonstrations have."""
+    world, names = demonstrations.world, len(demonstrations.action_names)
+    env = make_world(world)
+    try:
+        ObservationMap.fit(
+            world["id"], env.observation_space, _inputs(demonstrations), world.get("observations")
+        )
+        numbers = (None, names) if demonstrations.vector else (names, None)
+        ActionMap.fit(world["id"], env.action_space, *numbers)
+    finally:
+        env.close()
+
+
+def _without_task(demonstrations: Demonstrations) -> Demonstrations:
+    """The demonstrations without the task as an observation."""
+    shown = {key: values for key, values in demonstrations.observations.items() if key != TASK}
+    return replace(demonstrations, observations=shown)
 
 
 def _settled(options: TrainOptions, result: TrainingResult) -> TrainOptions:
-    """Options with the number of macro-actions that the first training settled on."""
+    """Options with the number and the order of macro-actions that the first training settled on."""
     if options.planner.type == "baseline":
         return options
     config = result.policy.config
-    planner = replace(options.planner, macros=config.macros, max_transitions=config.max_transitions)
+    most = None if config.order == "chain" else config.max_transitions  # in a chain there is no choice
+    planner = replace(options.planner, macros=config.macros, max_transitions=most, order=config.order)
     return replace(options, planner=planner)
 
 

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from noise import ACTIONS, LENGTHS, PHASES, random_episodes
+from noise import ACTIONS, LENGTHS, random_episodes, write
 
 from dpmacro.boosting.learners.stumps import StumpClassifier
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.data.lerobot.writer import DemonstrationWriter
 from dpmacro.features.encoders.pixels import Pixels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.success import wilson_interval
@@ -40,12 +39,10 @@ def modules():
 @pytest.fixture(scope="module")
 def coloured(tmp_path_factory):
     """A dataset in which an episode shows one colour, red, green or blue, and holds one action."""
-    root = tmp_path_factory.mktemp("coloured") / "two_flags"
-    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False, classes=PHASES) as writer:
-        for action, episode in zip((0, 1, 2, 2), random_episodes(), strict=True):
-            episode["actions"][:], episode["images"][:] = action, COLOURS[action]
-            writer.add_episode(**episode)
-    return root
+    episodes = list(random_episodes())
+    for action, episode in zip((0, 1, 2, 2), episodes, strict=True):
+        episode["actions"][:], episode["images"][:] = action, COLOURS[action]
+    return write(tmp_path_factory.mktemp("coloured") / "two_flags", episodes, WORLD)
 
 
 @pytest.fixture(scope="module")

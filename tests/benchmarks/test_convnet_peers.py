@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from dpmacro.data.lerobot.writer import DemonstrationWriter
+from noise import write
 
 ROOT = Path(__file__).parents[2]
 FAST = ["--switch_stumps=3", "--switch_convnets=1"]
@@ -17,13 +16,15 @@ FAST = ["--switch_stumps=3", "--switch_convnets=1"]
 def five(tmp_path_factory) -> Path:
     """Five demonstrations of 12 frames, of which the second half is phase 1."""
     root, generator = tmp_path_factory.mktemp("five") / "data", np.random.default_rng(0)
-    about = {"id": "TwoFlags-v0"}, False, {"phase": ("before", "after")}
-    with DemonstrationWriter.create(root, ("forward", "turn_left", "turn_right"), 30, *about) as writer:
-        for _ in range(5):
-            images = generator.integers(0, 256, (12, 8, 8, 3), np.uint8)
-            actions, phases = np.arange(12) % 3, (np.arange(12) > 5).astype(np.int64)
-            writer.add_episode(images, actions, {"phase": phases}, np.zeros(12, np.float32), True, "go")
-    return root
+    episode = {
+        "actions": np.arange(12) % 3,
+        "truth": {"phase": (np.arange(12) > 5).astype(np.int64)},
+        "rewards": np.zeros(12, np.float32),
+        "success": True,
+        "task": "go",
+    }
+    images = (generator.integers(0, 256, (12, 8, 8, 3), np.uint8) for _ in range(5))
+    return write(root, ({"images": one, **episode} for one in images), {"id": "TwoFlags-v0"})
 
 
 def call(*options):

@@ -10,11 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from noise import ACTIONS, LENGTHS, PHASES, WORLD, random_episodes
+from noise import ACTIONS, AVATAR, LENGTHS, WORLD, random_episodes, write
 
 from dpmacro.data.demonstrations import DatasetError, Demonstrations
 from dpmacro.data.images import ImageTransform
-from dpmacro.data.lerobot.writer import AVATAR, VIEW, DemonstrationWriter
+from dpmacro.evaluation.run_writer import VIEW
 
 DATA = "data/chunk-000/file-000.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
@@ -30,13 +30,12 @@ def root(recorded, tmp_path) -> Path:
 @pytest.fixture(scope="session")
 def two_cameras(tmp_path_factory) -> Path:
     """Two episodes with the view for people, a flat colour a frame that video keeps roughly."""
-    root = tmp_path_factory.mktemp("cameras") / "two_cameras"
-    with DemonstrationWriter.create(root, ACTIONS, 30, {}, view=True, classes=PHASES) as writer:
-        for episode in random_episodes((8, 6), shape=(24, 32, 3)):
-            level = episode["actions"] * 100 + 20
-            views = np.broadcast_to(level[:, None, None, None], (len(level), 240, 320, 3))
-            writer.add_episode(**episode, views=np.ascontiguousarray(views, np.uint8))
-    return root
+    episodes = list(random_episodes((8, 6), shape=(24, 32, 3)))
+    for episode in episodes:
+        level = episode["actions"] * 100 + 20
+        views = np.broadcast_to(level[:, None, None, None], (len(level), 240, 320, 3))
+        episode["views"] = np.ascontiguousarray(views, np.uint8)
+    return write(tmp_path_factory.mktemp("cameras") / "two_cameras", episodes, {})
 
 
 def edit_json(path, **changes):

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lerobot_files import build
-from noise import PHASES, random_episodes
+from noise import AVATAR, random_episodes, write
 from odd_changes import one_frame_more
 from segmented import random_policy
 
@@ -20,7 +20,6 @@ from dpmacro.annotation.annotate import annotate
 from dpmacro.annotation.exports.labelling import read_labels
 from dpmacro.boosting import crossfit
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.data.lerobot.writer import AVATAR, DemonstrationWriter
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils import cli
 from dpmacro.worlds.two_flags.env import ACTIONS
@@ -232,11 +231,7 @@ def test_a_segmentation_of_some_episodes(script, policy, recorded, tmp_path, mon
 
 
 def test_a_dataset_of_another_size_is_refused(script, policy, tmp_path, monkeypatch, capsys):
-    with DemonstrationWriter.create(
-        tmp_path / "small", ACTIONS, 30.0, {}, view=False, classes=PHASES
-    ) as writer:
-        for episode in random_episodes(shape=(24, 32, 3)):
-            writer.add_episode(**episode)
+    write(tmp_path / "small", random_episodes(shape=(24, 32, 3)), {})
     with pytest.raises(SystemExit) as exit_:
         options = [f"--policy.path={policy}", f"--dataset.root={tmp_path / 'small'}"]
         call(script, monkeypatch, *options, f"--output_dir={tmp_path / 'out'}")

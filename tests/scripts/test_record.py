@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from noise import AVATAR
 
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.data.lerobot.reader import StoredDataset
-from dpmacro.data.lerobot.writer import AVATAR
 from dpmacro.evaluation.recording import Run, run_expert
 from dpmacro.worlds.babyai import ACTIONS, SUBGOALS
 from dpmacro.worlds.making import WorldOptions

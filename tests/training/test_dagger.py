@@ -10,7 +10,7 @@ from safetensors.numpy import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.data.lerobot.reader import WORLD_FILE
+from dpmacro.data.lerobot.reader import WORLD_FILE, StoredDataset
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.training import dagger
 from dpmacro.training.pictures import TrainingPictures
@@ -58,14 +58,20 @@ def run(request, short_world, tmp_path_factory):
     return output
 
 
-def test_gathered_runs_are_a_lerobot_dataset_that_grows(run):
-    gathered = Demonstrations.load(run / "gathered")
-    assert len(gathered.lengths) == 4
-    assert gathered.truth_name == "phase"
-    driver = Demonstrations.load(run / "gathered", truth="driver")
-    assert driver.truth_classes == ("planner", "teacher")
-    assert driver.truth[0] == 0
-    assert gathered.world["max_steps"] == 25 and gathered.symmetric
+def test_the_runs_of_every_iteration_are_a_lerobot_dataset(run):
+    assert sorted(path.name for path in (run / "gathered").iterdir()) == ["1", "2"]
+    for root in (run / "gathered").iterdir():
+        gathered = Demonstrations.load(root)
+        assert gathered.lengths.tolist() == [25, 25]
+        assert gathered.images.shape[1:] == (48, 64, 3), "as the world shows them"
+        assert gathered.truth_name == "phase"
+        driver = Demonstrations.load(root, truth="driver")
+        assert driver.truth_classes == ("planner", "teacher")
+        assert driver.truth[0] == 0
+        assert gathered.world["max_steps"] == 25 and gathered.symmetric
+        store = StoredDataset.open(root)
+        columns = store.columns(["next.done", "next.success"], store.episodes)
+        assert columns["next.done"].sum() == 2 and not columns["next.success"].any()
 
 
 def test_every_iteration_is_a_run_and_trains_on_more(run):
@@ -114,8 +120,8 @@ def test_success_and_agreement_are_logged(run):
     events.Reload()
     assert [event.value for event in events.Scalars("dagger/trajectories")] == [4, 6, 8]
     assert np.isnan(events.Scalars("dagger/agreement")[0].value)
-    driven = Demonstrations.load(run / "gathered", truth="driver")
-    assert len(events.Scalars("dagger/agreement")) == len(driven.lengths) // 2 + 1
+    agreement = [event.value for event in events.Scalars("dagger/agreement")[1:]]
+    assert len(agreement) == 2 and all(0 <= value <= 1 for value in agreement)
 
 
 @pytest.mark.parametrize(

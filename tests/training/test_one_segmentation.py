@@ -6,13 +6,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from noise import ACTIONS, PHASES
+from noise import write
 from safetensors.torch import load_file
 
 import dpmacro.worlds  # noqa: F401  registers the world
 from dpmacro.annotation.annotate import annotate
 from dpmacro.data.demonstrations import Demonstrations
-from dpmacro.data.lerobot.writer import DemonstrationWriter
 from dpmacro.data.synthetic import digits
 from dpmacro.evaluation.recording import run_expert
 from dpmacro.policy.policy import MacroPolicy
@@ -47,7 +46,8 @@ def two_flags(folder):
     """Two of the teacher's runs, every eighth frame, recorded and read."""
     world = {"id": "TwoFlags-v0", "render_size": (64, 48)}
     env, teacher = gym.make(**world), Teacher()
-    with DemonstrationWriter.create(folder, ACTIONS, 10, world, view=False, classes=PHASES) as writer:
+
+    def runs():
         for seed in (2, 3):
             observation, info = env.reset(seed=seed)
             teacher.reset(env)
@@ -58,9 +58,16 @@ def two_flags(folder):
                 rows.append((seen, action, phase, reward))
                 ended = terminated or truncated
             images, actions, phases, rewards = (np.array(part) for part in zip(*rows[::8], strict=True))
-            truth = {"phase": phases.astype(np.int64)}
-            writer.add_episode(images, actions.astype(np.int64), truth, rewards.astype(np.float32), True, "")
-    return Demonstrations.load(folder)
+            yield {
+                "images": images,
+                "actions": actions.astype(np.int64),
+                "truth": {"phase": phases.astype(np.int64)},
+                "rewards": rewards.astype(np.float32),
+                "success": True,
+                "task": "",
+            }
+
+    return Demonstrations.load(write(folder, runs(), world, fps=10))
 
 
 def babyai(folder):

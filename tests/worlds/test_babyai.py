@@ -10,8 +10,8 @@ import pytest
 from minigrid.core.actions import Actions
 from minigrid.utils import baby_ai_bot
 from minigrid.wrappers import RGBImgPartialObsWrapper
+from noise import AVATAR
 
-from dpmacro.data.lerobot.writer import AVATAR
 from dpmacro.evaluation import recording
 from dpmacro.evaluation.recording import run_expert
 from dpmacro.evaluation.rollouts import PlannerSource, run_episodes

@@ -24,31 +24,6 @@ def create_dataset(root: Path, fps: int | float, features: dict[str, dict[str, A
     )
 
 
-def resume_dataset(root: Path, view: bool, cache: Path) -> Any:
-    """The LeRobotDataset in a folder, to add frames to; what it holds already stays in the files it is in.
-
-    Args:
-        root: a dataset with all its files: LeRobot looks for missing ones on the network.
-        view: whether it has videos.
-        cache: a folder for copies of its metadata, needed until the dataset is finalized.
-    """
-    import datasets
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    class AppendedTo(LeRobotDataset):
-        """LeRobot 0.4 reads and caches all frames of a dataset that it opens; appending needs none."""
-
-        def load_hf_dataset(self) -> Any:
-            return self.create_hf_dataset()
-
-        def _check_cached_episodes_sufficient(self) -> bool:
-            return True
-
-    resume = getattr(LeRobotDataset, "resume", AppendedTo)
-    with quiet(), _replaced(datasets.config, "HF_DATASETS_CACHE", cache):
-        return resume(_NAME, root=root, **_encoding(view))
-
-
 @contextmanager
 def embedding_at_once() -> Iterator[None]:
     """Images enter an episode's table in one call; LeRobot makes one for each, half of its time."""

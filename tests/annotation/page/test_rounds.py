@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from noise import AVATAR
 from segmented import random_policy
 
 from dpmacro.annotation.corrections import Corrections
 from dpmacro.annotation.exports.labelling import read_labels
 from dpmacro.annotation.page.shown import Shown
 from dpmacro.annotation.page.write import write_page
-from dpmacro.data.lerobot.writer import AVATAR
 from dpmacro.utils import cli
 from dpmacro.worlds.two_flags.env import ACTIONS
 from tests.annotation.page.reading import some_stages

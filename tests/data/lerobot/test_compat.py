@@ -1,16 +1,13 @@
 import os
-import shutil
 import warnings
 from contextlib import nullcontext
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from noise import ACTIONS, LENGTHS, PHASES, WORLD, random_episodes
+from noise import random_episodes, write
 
-from dpmacro.data.lerobot.compat import _embed_images, resume_dataset
-from dpmacro.data.lerobot.writer import DemonstrationWriter
+from dpmacro.data.lerobot.compat import _embed_images
 
 
 @pytest.mark.parametrize("bars_disabled", [False, True])
@@ -21,16 +18,12 @@ def test_writing_is_silent_and_leaves_no_state(tmp_path, capfd, monkeypatch, bar
     assert not datasets.are_progress_bars_disabled()
     views = np.zeros((12, 64, 96, 3), np.uint8)
     cache = datasets.config.HF_DATASETS_CACHE
-    root = tmp_path / "d"
     if bars_disabled:
         datasets.disable_progress_bars()
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("default", RuntimeWarning)
-            with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=True, classes=PHASES) as writer:
-                writer.add_episode(**next(random_episodes()), views=views)
-            with DemonstrationWriter.extend(root) as writer:
-                writer.add_episode(**next(random_episodes()), views=views)
+            write(tmp_path / "d", [next(random_episodes()) | {"views": views}])
         assert datasets.are_progress_bars_disabled() == bars_disabled
     finally:
         datasets.enable_progress_bars()
@@ -39,20 +32,9 @@ def test_writing_is_silent_and_leaves_no_state(tmp_path, capfd, monkeypatch, bar
     assert "SVT_LOG" not in os.environ and cache == datasets.config.HF_DATASETS_CACHE
 
 
-def test_resuming_reads_no_frames(recorded, tmp_path):
-    root = Path(shutil.copytree(recorded, tmp_path / "d"))
-    (root / "data/chunk-000/file-000.parquet").write_text("no parquet at all")
-    dataset = resume_dataset(root, view=False, cache=tmp_path / "cache")
-    assert dataset.meta.total_episodes == len(LENGTHS)
-    dataset.finalize()
-
-
 def test_embedding_at_once_writes_what_lerobot_writes(recorded, tmp_path, monkeypatch):
-    monkeypatch.setattr("dpmacro.data.lerobot.writer.embedding_at_once", nullcontext)
-    root = tmp_path / "one_by_one"
-    with DemonstrationWriter.create(root, ACTIONS, 30, WORLD, view=False, classes=PHASES) as writer:
-        for episode in random_episodes():
-            writer.add_episode(**episode)
+    monkeypatch.setattr("dpmacro.evaluation.run_writer.embedding_at_once", nullcontext)
+    root = write(tmp_path / "one_by_one", random_episodes())
     ours, theirs = (pq.ParquetFile(folder / "data/chunk-000/file-000.parquet") for folder in (recorded, root))
     assert ours.read().equals(theirs.read())
     assert ours.schema_arrow.equals(theirs.schema_arrow)
@@ -70,8 +52,7 @@ def test_lerobot_embeds_by_the_function_that_is_replaced(recorded, tmp_path, mon
 
     monkeypatch.setattr("dpmacro.data.lerobot.compat._embed_images", noted)
     episodes = list(random_episodes((4, 3)))
-    with DemonstrationWriter.create(tmp_path / "d", ACTIONS, 30, WORLD, view=view, classes=PHASES) as writer:
-        for episode in episodes:
-            views = np.zeros((len(episode["actions"]), 64, 96, 3), np.uint8) if view else None
-            writer.add_episode(**episode, views=views)
+    for episode in episodes:
+        episode["views"] = np.zeros((len(episode["actions"]), 64, 96, 3), np.uint8) if view else None
+    write(tmp_path / "d", episodes)
     assert calls == [4, 3]
