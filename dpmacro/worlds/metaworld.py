@@ -46,15 +46,9 @@ if sys.platform == "linux" and not os.environ.get("DISPLAY"):
 FAMILY = "Meta-World/"  # what the worlds' ids begin with; the task follows
 STATE = "observation.state"
 ACTIONS = ("x", "y", "z", "gripper")  # how far the hand is to move, and how hard the fingers are to press
-_NOW = tuple(
-    f"{thing}_{number}"
-    for thing, numbers in (
-        ("hand", "xyz"),
-        ("gripper", ("opening",)),
-        *((name, ("x", "y", "z", "qx", "qy", "qz", "qw")) for name in ("object", "second")),
-    )
-    for number in numbers
-)
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_THINGS = [f"{thing}_{part}" for thing in ("object", "second") for part in _POSE]
+_NOW = ("hand_x", "hand_y", "hand_z", "gripper_opening", *_THINGS)
 DIMENSIONS = (*_NOW, *(f"{name}_before" for name in _NOW), "goal_x", "goal_y", "goal_z")
 FPS = 80
 MAX_STEPS = 400  # every expert below needs fewer, most of them a third
