@@ -215,11 +215,11 @@ class Runs:
 
     def _trained(self, cell: Cell) -> dict[str, Any]:
         root, folder, options = self._recorded(cell), self._place("train", cell), OURS[cell.row]
+        others = (f"--dataset.root={root}", f"--seed={cell.seed}", f"--output_dir={folder}")
         if cell.row == "stages":
             file = root.with_name(f"{root.name}_stages.csv")
             write_stages(root, file)
-            options = (*options, f"--dataset.labels={file}", *bound(file))
-        others = (f"--dataset.root={root}", f"--seed={cell.seed}", f"--output_dir={folder}")
+            options, others = (*options, *bound(file)), (*others, f"--dataset.labels={file}")
         return self._stamp(Job(f"training {cell.name}", "train.py", folder, options, others))
 
     def _stamp(self, job: Job) -> dict[str, Any]:
