@@ -14,14 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from metaworld_run import RESULT, world_of
+from PIL import Image
 from tqdm import tqdm
 
 from dpmacro import figures
 from dpmacro.evaluation.rollouts import PlannerSource, replay
 from dpmacro.utils import cli
+from dpmacro.utils.files import replacing
 from dpmacro.worlds.base import SUCCESS
 
 COLUMNS = 8
+WIDTH, COLOURS = 1200, 64  # of the picture, which would be large otherwise
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,10 @@ def main(options: StillsOptions) -> None:
     if not tasks:
         raise ValueError(f"{options.table} has no runs of dpmacro: fill it by benchmarks/table_metaworld.py")
     strips = [strip for task in tqdm(tasks, unit="task") for strip in strips_of(task, options)]
-    figures.save(figures.film_strips(strips), options.output)
+    drawn = Image.fromarray(figures.to_image(figures.film_strips(strips)))
+    drawn.thumbnail((WIDTH, drawn.height))
+    with replacing(options.output) as path:
+        drawn.quantize(COLOURS).save(path, optimize=True)
     print(f"picture  {options.output}")
 
 

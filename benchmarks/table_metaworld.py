@@ -215,7 +215,7 @@ class Runs:
 
     def _trained(self, cell: Cell) -> dict[str, Any]:
         root, folder, options = self._recorded(cell), self._place("train", cell), OURS[cell.row]
-        others = (f"--dataset.root={root}", f"--seed={cell.seed}", f"--output_dir={folder}")
+        others: tuple[str, ...] = (f"--dataset.root={root}", f"--seed={cell.seed}", f"--output_dir={folder}")
         if cell.row == "stages":
             file = root.with_name(f"{root.name}_stages.csv")
             write_stages(root, file)
