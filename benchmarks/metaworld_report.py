@@ -8,7 +8,7 @@ from typing import Any
 
 from metaworld_peers import PEERS
 from metaworld_run import HIDDEN
-from report import inserted
+from report import inserted, markdown
 from table_rows import as_json
 
 from dpmacro.metrics.success import wilson_interval
@@ -56,7 +56,7 @@ def main_table(rows: Sequence[Row]) -> list[str]:
         )
     short = [task.removesuffix("-v3") for task in tasks]
     costs = ["mean", "95% interval", "training, CPU s", "an action, ms", "numbers stored"]
-    return _markdown(["success, %", *short, *costs], lines)
+    return markdown(["success, %", *short, *costs], lines)
 
 
 def write_report(found: Row, path: Path) -> None:
@@ -91,7 +91,7 @@ def seeds_table(rows: Sequence[Row]) -> list[str]:
     names = [name for name in TITLES if any(own == name for own, _ in cells)]
     lines = [[TITLES[name], *(", ".join(cells[name, task]) for task in tasks)] for name in names]
     short = [task.removesuffix("-v3") for task in tasks]
-    return _markdown(["successes by training seed (macro-actions)", *short], lines) if lines else []
+    return markdown(["successes by training seed (macro-actions)", *short], lines)
 
 
 def _pooled(rows: Iterable[Row]) -> tuple[int, int]:
@@ -116,13 +116,3 @@ def _interval(successes: int, runs: int) -> str:
 def _mean(values: Iterable[float | None], form: str) -> str:
     known = [value for value in values if value is not None]
     return form.format(fmean(known)) if known else ""
-
-
-def _markdown(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> list[str]:
-    cells = [list(headings), *map(list, lines)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    rule = ["-" * width for width in widths]
-    return [
-        "| " + " | ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)) + " |"
-        for line in [cells[0], rule, *cells[1:]]
-    ]

@@ -6,12 +6,13 @@ import os
 import platform
 import re
 import subprocess
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from dpmacro.utils.files import replacing
 
-__all__ = ["Row", "header", "inserted", "table", "write"]
+__all__ = ["Row", "header", "inserted", "markdown", "table", "write"]
 
 PACKAGES = ("torch", "numpy", "lightgbm", "xgboost", "scikit-learn", "numba", "hmmlearn", "pybullet")
 ROOT = Path(__file__).parents[1]
@@ -99,6 +100,19 @@ def inserted(text: str, found: str, marks: tuple[str, str]) -> str:
     if not start:
         before, after = text and text.rstrip("\n") + "\n\n", "\n"
     return f"{before}{marks[0]}\n{found}\n{marks[1]}{after}"
+
+
+def markdown(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> list[str]:
+    """A markdown table whose columns align; nothing where there is no line."""
+    if not lines:
+        return []
+    cells = [list(headings), *map(list, lines)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    rule = ["-" * width for width in widths]
+    return [
+        "| " + " | ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)) + " |"
+        for line in [cells[0], rule, *cells[1:]]
+    ]
 
 
 def _number(value: float | None) -> str:

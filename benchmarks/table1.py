@@ -9,7 +9,6 @@ Records demonstrations, trains and tests whatever is not there yet, so that an i
 it was. Rows are written after every cell to `<output_dir>.json`; those of other cells stay.
 """
 
-import json
 import shlex
 import signal
 import sys
@@ -35,7 +34,7 @@ from table_cells import (
     demonstrations_needed,
 )
 from table_report import main_table, marks, write_report
-from table_rows import Row, as_json
+from table_rows import Row, as_json, stored
 from table_runs import Runs, work
 from tqdm import tqdm
 
@@ -210,23 +209,16 @@ def read_rows(path: Path, worlds: str = TEST) -> dict[Key, Row]:
 
     Raises ValueError where it holds something else, such as runs in worlds of another role.
     """
-    if not path.exists():
-        return {}
-    try:
-        found = json.loads(path.read_text())["rows"]
-        for row in found:
-            if row["planner"] not in PLANNERS or row["n"] != len(row["per_episode"]):
-                raise ValueError(f"a row of {row['planner']} that is none")
-            if not set(row["seeds"]) <= set(WORLDS[worlds]):
-                raise ValueError(f"a row of {row['planner']} in others than {worlds} worlds")
-        return {
-            (r["flags"], r["planner"], r["demonstrations"], r["train_seed"], tuple(r["render_size"])): r
-            for r in found
-        }
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{path} holds no rows of this table ({error}): give another --output_dir"
-        ) from error
+
+    def key(row: Row) -> Key:
+        if row["planner"] not in PLANNERS or row["n"] != len(row["per_episode"]):
+            raise ValueError(f"a row of {row['planner']} that is none")
+        if not set(row["seeds"]) <= set(WORLDS[worlds]):
+            raise ValueError(f"a row of {row['planner']} in others than {worlds} worlds")
+        cell = row["flags"], row["planner"], row["demonstrations"], row["train_seed"]
+        return *cell, tuple(row["render_size"])
+
+    return stored(path, key)
 
 
 if __name__ == "__main__":

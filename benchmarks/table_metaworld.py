@@ -27,7 +27,7 @@ from metaworld_report import tables, write_report
 from metaworld_run import HIDDEN, RESULT, VALIDATION_SEED, world_of
 from report import header
 from table_jobs import Job, read_stamp, run
-from table_rows import as_json
+from table_rows import as_json, stored
 from tqdm import tqdm
 
 from dpmacro.data.demonstrations import Demonstrations
@@ -268,7 +268,7 @@ def main(options: TableOptions) -> None:
     origin = {"date": datetime.now().isoformat(timespec="seconds")}
     origin |= dict(line.split(maxsplit=1) for line in lines)
     file = options.output_dir / ("rows.json" if options.worlds == "test" else f"rows_{options.worlds}.json")
-    rows = read_rows(file)
+    rows = stored(file, lambda row: (row["task"], row["row"], row["train_seed"]))
     try:
         with tqdm(options.plan, unit="cell", dynamic_ncols=True) as bar:
             runs = Runs(options, origin["commit"], bar)
@@ -284,19 +284,6 @@ def main(options: TableOptions) -> None:
     if options.report is not None:
         write_report({**origin, "rows": list(rows.values())}, options.report)
         print(f"report   {options.report}")
-
-
-def read_rows(path: Path) -> dict[tuple[str, str, int | None], dict[str, Any]]:
-    """The rows of the file, if it is there; ValueError where it holds something else."""
-    if not path.exists():
-        return {}
-    try:
-        found = json.loads(path.read_text())["rows"]
-        return {(row["task"], row["row"], row["train_seed"]): row for row in found}
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{path} holds no rows of this table ({error}): give another --output_dir"
-        ) from error
 
 
 if __name__ == "__main__":

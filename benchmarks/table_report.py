@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from report import inserted
+from report import inserted, markdown
 from table_cells import DEFAULT_SIZE, FLAGS, PAPER_SIZE, PLANNERS, SWEEP, TEACHER, TEST
 from table_rows import Row, as_json, count, curve_points, groups, paired, pooled, sweep_seed
 
@@ -200,13 +200,5 @@ def _title(name: str) -> str:
 
 
 def _table(headings: str, lines: Sequence[Sequence[str]]) -> list[str]:
-    """Markdown whose columns align; nothing where there is no line."""
-    if not lines:
-        return []
-    cells = [headings.split("|"), *lines]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    rule = ["-" * width for width in widths]
-    return [
-        "| " + " | ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)) + " |"
-        for line in [cells[0], rule, *cells[1:]]
-    ]
+    """Markdown under headings that bars part; nothing where there is no line."""
+    return markdown(headings.split("|"), lines)

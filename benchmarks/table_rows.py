@@ -1,14 +1,15 @@
 """What the rows of Table I say: counts, planners side by side in the same worlds, points of the curve."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 from table_cells import DEFAULT_SIZE, PLANNERS, SWEEP, TEACHER
 
 from dpmacro.metrics.success import Paired, mcnemar
 
-__all__ = ["Row", "as_json", "count", "curve_points", "groups", "paired", "pooled", "sweep_seed"]
+__all__ = ["Row", "as_json", "count", "curve_points", "groups", "paired", "pooled", "stored", "sweep_seed"]
 
 Row = dict[str, Any]
 
@@ -18,6 +19,22 @@ def as_json(found: Row) -> str:
     origin = json.dumps({name: value for name, value in found.items() if name != "rows"}, indent=1)
     lines = ",\n".join(json.dumps(row) for row in found["rows"])
     return origin.removesuffix("\n}") + f',\n "rows": [\n{lines}\n ]\n}}\n'
+
+
+def stored(path: Path, key: Callable[[Row], Any]) -> dict[Any, Row]:
+    """The rows of a file by their key, {} where it is not there.
+
+    `key` may raise ValueError for a row that does not belong there. Raises ValueError where the file holds
+    something else than rows of the table.
+    """
+    if not path.exists():
+        return {}
+    try:
+        return {key(row): row for row in json.loads(path.read_text())["rows"]}
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{path} holds no rows of this table ({error}): give another --output_dir"
+        ) from error
 
 
 def count(row: Row, runs: int | None = None) -> tuple[int, int]:

@@ -17,7 +17,8 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 from metaworld_peers import PEERS, Peer  # noqa: E402
 from metaworld_report import main_table, seeds_table, tables, write_report  # noqa: E402
 from metaworld_run import RESULT, RunOptions, world_of  # noqa: E402
-from table_metaworld import TableOptions, bound, read_rows, write_stages  # noqa: E402
+from table_metaworld import TableOptions, bound, write_stages  # noqa: E402
+from table_rows import stored  # noqa: E402
 
 SCRIPT = ROOT / "benchmarks/table_metaworld.py"
 STATE = "observation.state"
@@ -168,8 +169,8 @@ def test_bad_options_of_a_run_are_named(options, said, tmp_path):
 def test_a_file_of_something_else_is_refused(tmp_path):
     (tmp_path / "rows.json").write_text('{"rows": [{"task": "x"}]}')
     with pytest.raises(ValueError, match="holds no rows of this table"):
-        read_rows(tmp_path / "rows.json")
-    assert read_rows(tmp_path / "none.json") == {}
+        stored(tmp_path / "rows.json", lambda row: row["row"])
+    assert stored(tmp_path / "none.json", lambda row: row["row"]) == {}
 
 
 @pytest.mark.benchmark
