@@ -13,6 +13,7 @@ With `--dagger.iterations` the planner then runs in its world, the world's teach
 actions, and training repeats with them; the planner that succeeds most in validation worlds is kept.
 """
 
+import math
 import time
 from typing import TYPE_CHECKING
 
@@ -118,8 +119,10 @@ def switch_report(result: TrainingResult) -> list[str]:
     found, lines = result.found, []
     switches, discovery = found.switches, found.discovery
     judges = "left-out demonstrations" if switches.left_out else "the demonstration it learned from"
-    for (source, target), share in zip(switches.pairs, switches.recognised.tolist(), strict=True):
-        lines.append(f"switch {source}->{target}  recognises {share:.0%} of the changes in {judges}")
+    told = zip(switches.pairs, switches.recognised.tolist(), switches.thresholds.tolist(), strict=True)
+    for (source, target), share, threshold in told:
+        never = ": too few, the policy never makes it" if threshold == math.inf else ""
+        lines.append(f"switch {source}->{target}  recognises {share:.0%} of the changes in {judges}{never}")
     if switches.pairs and switches.left_out:
         lines.append(
             "             (threshold and cues by other demonstrations, changes as the search had cut them)"

@@ -43,7 +43,7 @@ class PolicyConfig:
     action_transform: Mapping[str, Any] | None = None  # from scores to vectors; None for classes
     action_state: str = ""  # the input that relative actions are added to; "" for none
     switches: tuple[tuple[int, int], ...] = ()  # (from, to) of every switch function
-    thresholds: tuple[float, ...] = ()  # a switch function fires above its own
+    thresholds: tuple[float | None, ...] = ()  # a switch function fires above its own, never where None
     cues: tuple[tuple[int, ...], ...] = ()  # and right after one of these actions; none stands for any
     recovery: bool = False  # whether its planner recovers from loops (dpmacro/policy/recovery.py)
     order: str = "free"  # of macro-actions in a segmentation, "free" or "chain"
@@ -87,7 +87,7 @@ class PolicyConfig:
             and all(isinstance(q, int) and 0 <= q < self.macros for q in macros),
             "recovery": isinstance(self.recovery, bool) and not (self.recovery and self.vector),
             "thresholds": len(self.thresholds) == len(self.switches)
-            and all(map(math.isfinite, self.thresholds)),
+            and all(own is None or math.isfinite(own) for own in self.thresholds),
             "cues": len(self.cues) in (0, len(self.switches))
             and all(0 <= action < len(self.action_names) for own in self.cues for action in own),
             "inputs": len(self.inputs) > 0

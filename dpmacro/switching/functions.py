@@ -30,7 +30,8 @@ class SwitchFunctions:
     Attributes:
         pairs: (from, to) macro-actions.
         starts: macro-actions that trajectories start with, ascending.
-        thresholds: a switch function fires where its score is above.
+        thresholds: a switch function fires where its score is above; infinite for a change that is never
+            made, since it is rare and left-out trajectories would be worse for it.
         cues: actions that each may follow; none stands for any.
         recognised: share, 0 to 1, of the changes of each pair at whose first frame, and not before it in the
             same segment, the left-out margin is above 0.

@@ -1,9 +1,10 @@
 """The threshold of a switch function, from the scores of functions that never saw the trajectory."""
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from dpmacro.segmentation.segments import Segment
@@ -12,34 +13,48 @@ __all__ = ["best_threshold", "recognised_share"]
 
 
 def best_threshold(
-    segments: Sequence[Segment], scores: Float[Tensor, " frames"], tolerance: int = 0
+    segments: Sequence[Segment],
+    scores: Float[Tensor, " frames"],
+    tolerance: int = 0,
+    others: Sequence[Segment] = (),
 ) -> float:
-    """The threshold under which most of the segments are left at their end and not before.
+    """The threshold under which most segments of a macro-action are left as the demonstrations leave them.
 
-    A segment is left in time where before <= threshold < at: the highest score before its change, and the
-    score at the change's first frame. Later frames do not count, since a policy that has not changed by then
-    will not see them. Where a change may be early or late, of the thresholds that leave most segments in time
-    those count that leave most of them at the very frame. The middle of the widest range of these wins; where
-    no threshold serves any segment, zero, the switch function's own decision boundary, stands.
+    A segment that ends in the change is left in time where before <= threshold < at: the highest score before
+    its change, and the score at the change's first frame. Later frames do not count, since a policy that has
+    not changed by then will not see them. One that ends otherwise is left alone where no score in it is above
+    the threshold. Where a change may be early or late, of the thresholds that serve most segments those count
+    that leave most of them at the very frame. The middle of the widest range of these wins; where no
+    threshold leaves any segment in time, zero, the switch function's own decision boundary, stands.
+
+    A change in the minority of the segments has no threshold, infinity, where none serves more of them
+    than never to make it does: the switch function would end more segments at a wrong time than it ends
+    rightly.
 
     Args:
         segments: those that end in the change of the switch function.
         scores: of every frame.
         tolerance: frames by which a change may be early or late, 0 or more.
+        others: the other segments of the macro-action that the change leaves.
     """
+    peaks, exact = (
+        np.array([_before_and_at(segment, scores, frames) for segment in segments]).reshape(-1, 2)
+        for frames in (tolerance, 0)
+    )
+    alone = np.array([float(scores[one.start : one.stop].max()) for one in others])
+    levels = np.unique(np.concatenate([peaks.ravel(), exact.ravel(), alone]))
+    in_time, at_once = _served(peaks, levels), _served(exact, levels)
+    right = in_time + np.searchsorted(np.sort(alone), levels[:-1], side="right")
+    if len(segments) < len(others) and right.max(initial=0) <= len(others):
+        return float("inf")
+    # Levels of the changes part ranges, those of the very frames only where their count differs.
+    parts = np.stack([np.searchsorted(np.unique(peaks), levels[:-1], side="right"), right, at_once], 1)
     ranges = []
-    peaks = [_before_and_at(segment, scores, tolerance) for segment in segments]
-    exact = [_before_and_at(segment, scores, 0) for segment in segments] if tolerance else peaks
-    for low, high in itertools.pairwise(_levels(peaks)):
-        within = [low, *(level for level in _levels(exact) if low < level < high), high]
-        in_time = _in_time(peaks, low, high)
-        counted = [(_in_time(exact, *part), *part) for part in itertools.pairwise(within)]
-        for at_once, parts in itertools.groupby(counted, key=lambda part: part[0]):
-            own = list(parts)
-            start, stop = own[0][1], own[-1][2]
-            ranges.append((in_time, at_once, stop - start, (start + stop) / 2))
-    most, _, _, threshold = max(ranges, default=(0, 0, 0.0, 0.0))
-    return threshold if most else 0.0
+    for first, last in _runs(parts):
+        low, high = levels[first], levels[last]
+        if in_time[first]:
+            ranges.append((right[first], at_once[first], high - low, (low + high) / 2))
+    return float(max(ranges)[-1]) if ranges else 0.0
 
 
 def recognised_share(
@@ -53,13 +68,19 @@ def recognised_share(
     return sum(before <= 0 < at for before, at in peaks) / len(peaks)
 
 
-def _levels(peaks: Sequence[tuple[float, float]]) -> list[float]:
-    return sorted({value for peak in peaks for value in peak})
+def _served(peaks: Float[np.ndarray, "segments 2"], levels: Float[np.ndarray, " levels"]) -> np.ndarray:
+    """How many segments any threshold between each two neighbouring levels serves."""
+    before, at = np.searchsorted(levels, peaks[peaks[:, 0] < peaks[:, 1]]).T
+    steps = np.zeros(max(len(levels), 1), dtype=np.int64)
+    np.add.at(steps, before, 1)
+    np.add.at(steps, at, -1)
+    return steps.cumsum()[:-1]
 
 
-def _in_time(peaks: Sequence[tuple[float, float]], low: float, high: float) -> int:
-    """How many segments any threshold between the two serves."""
-    return sum(before <= low and high <= at for before, at in peaks)
+def _runs(rows: Int[np.ndarray, "rows fields"]) -> Iterator[tuple[int, int]]:
+    """First row of every stretch of equal rows, and the row after it."""
+    edges = np.flatnonzero((rows[1:] != rows[:-1]).any(1)) + 1
+    return pairwise([0, *edges.tolist(), len(rows)]) if len(rows) else iter(())
 
 
 def _before_and_at(segment: Segment, scores: Float[Tensor, " frames"], tolerance: int) -> tuple[float, float]:

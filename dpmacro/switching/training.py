@@ -81,6 +81,30 @@ class _Fold:
     asked: Bool[Tensor, "frames switches"]  # where the cues allow a change
 
 
+@dataclass(frozen=True)
+class _Ends:
+    """The segments of the macro-action that a change leaves, parted by how they end."""
+
+    changes: Sequence[Segment]
+    others: Sequence[Segment]
+
+    @classmethod
+    def of(cls, pair: tuple[int, int], segments: Sequence[Segment]) -> "_Ends":
+        left = [one for one in segments if one.macro == pair[0]]
+        return cls(
+            [one for one in left if one.following == pair[1]],
+            [one for one in left if one.following != pair[1]],
+        )
+
+    def without(self, left_out: Bool[Tensor, " trajectories"]) -> tuple[list[Segment], list[Segment]]:
+        """Both, but for those of trajectories that are left out."""
+        kept = (~left_out).tolist()
+        changes, others = (
+            [one for one in own if kept[one.trajectory]] for own in (self.changes, self.others)
+        )
+        return changes, others
+
+
 def fit_switches(
     learner: WeakLearner,
     labels: Int64[Tensor, " frames"],
@@ -147,16 +171,19 @@ def fit_switches(
     scored, kept = _boosted(boosting, base, own_fit, len(folds), settings, on_round)
     scores, of_starts = scored.cpu().split([len(pairs), len(asking)], 1)
     scores = scores.masked_fill(~folds[-1].asked, -MARGIN_LIMIT)
-    own = [[one for one in segments if (one.macro, one.following) == pair] for pair in pairs]
-    margins = _margins(own, scored.cpu()[:, : len(pairs)], folds, own_fit.cpu(), settings)
+    ends = [_Ends.of(pair, segments) for pair in pairs]
+    margins = _margins(ends, scored.cpu()[:, : len(pairs)], folds, own_fit.cpu(), settings)
     last = torch.arange(len(folds) - 1, len(targets), len(folds), device=learner.device)
     return SwitchFunctions(
         pairs,
         starts,
-        _thresholds(own, scores, folds[-1].left_out, settings),
+        _thresholds(ends, scores, folds[-1].left_out, settings),
         folds[-1].cues if actions is not None else (),
         torch.tensor(
-            [recognised_share(*one, settings.tolerance) for one in zip(own, margins.T, strict=True)]
+            [
+                recognised_share(one.changes, own, settings.tolerance)
+                for one, own in zip(ends, margins.T, strict=True)
+            ]
         ),
         scores,
         margins,
@@ -182,21 +209,23 @@ def _fold(
 
 
 def _thresholds(
-    segments: Sequence[Sequence[Segment]],
+    ends: Sequence[_Ends],
     scores: Float[Tensor, "frames switches"],
     left_out: Bool[Tensor, " trajectories"],
     settings: SwitchSettings,
 ) -> Float[Tensor, " switches"]:
     """The threshold of every switch function, chosen by the trajectories that are not left out."""
     if not settings.calibrated:
-        return torch.zeros(len(segments))
-    inside = [[one for one in own if not left_out[one.trajectory]] for own in segments]
-    pairs = zip(inside, scores.unbind(1), strict=True)
-    return torch.tensor([best_threshold(*parts, settings.tolerance) for parts in pairs])
+        return torch.zeros(len(ends))
+    found = []
+    for one, own in zip(ends, scores.unbind(1), strict=True):
+        changes, others = one.without(left_out)
+        found.append(best_threshold(changes, own, settings.tolerance, others))
+    return torch.tensor(found)
 
 
 def _margins(
-    segments: Sequence[Sequence[Segment]],
+    ends: Sequence[_Ends],
     scored: Float[Tensor, "frames switches"],
     folds: Sequence[_Fold],
     own_fit: Int64[Tensor, " frames"],
@@ -209,7 +238,7 @@ def _margins(
     result = torch.empty_like(scored)
     for number, fold in enumerate(folds[:-1] or folds):
         asked = scored.masked_fill(~fold.asked, -MARGIN_LIMIT)
-        margins = asked - _thresholds(segments, asked, fold.left_out, settings)
+        margins = asked - _thresholds(ends, asked, fold.left_out, settings)
         result = torch.where(
             (own_fit == number)[:, None], margins.masked_fill(~fold.asked, -torch.inf), result
         )

@@ -4,6 +4,7 @@ Demonstrations become sorted levels once; DPBoost (with one macro-action it is t
 switch functions are fitted on them; a policy, its segmentation, pictures and TensorBoard events are saved.
 """
 
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -255,7 +256,7 @@ class Trainer:
             action_transform=None if transform is None else transform.to_dict(),
             action_state=state,
             switches=found.switches.pairs,
-            thresholds=tuple(found.switches.thresholds.tolist()),
+            thresholds=tuple(None if own == math.inf else own for own in found.switches.thresholds.tolist()),
             cues=found.switches.cues,
             recovery=planner.recovery,
             order=planner.order,

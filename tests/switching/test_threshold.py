@@ -1,5 +1,7 @@
 """The threshold of a switch function, from scores made by hand."""
 
+import math
+
 import pytest
 import torch
 from hypothesis import example, given, settings
@@ -18,18 +20,25 @@ PARTS = st.lists(
 )
 
 
-def changes_of(parts):
-    """`parts`: for each trajectory the scores before its change, and those from the change on."""
+def changes_of(parts, others=()):
+    """The segments that end in a change, those that do not, and the scores of all.
+
+    `parts`: for each trajectory the scores before its change, and those from the change on; `others` alike,
+    with another change.
+    """
     labels = [label for before, after in parts for label in [0] * len(before) + [1] * len(after)]
+    labels += [label for before, after in others for label in [0] * len(before) + [2] * len(after)]
+    parts = [*parts, *others]
     lengths = torch.tensor([len(before) + len(after) for before, after in parts])
     scores = torch.tensor([float(score) for part in parts for side in part for score in side])
-    segments = macro_segments(torch.tensor(labels), lengths)
-    return [one for one in segments if (one.macro, one.following) == (0, 1)], scores
+    segments = [one for one in macro_segments(torch.tensor(labels), lengths) if one.macro == 0]
+    ends = [[one for one in segments if (one.following == 1) == wanted] for wanted in (True, False)]
+    return *ends, scores
 
 
 def found(parts, tolerance=0):
     """The threshold, and the share that is recognised under it."""
-    segments, scores = changes_of(parts)
+    segments, _, scores = changes_of(parts)
     threshold = best_threshold(segments, scores, tolerance)
     return threshold, recognised_share(segments, scores - threshold, tolerance)
 
@@ -96,8 +105,44 @@ def test_a_change_within_the_tolerance_is_in_time(parts, tolerance):
     ],
 )
 def test_of_thresholds_that_serve_as_many_the_one_at_the_very_frames_wins(parts, expected):
-    segments, scores = changes_of(parts)
+    segments, _, scores = changes_of(parts)
     assert best_threshold(segments, scores, 1) == expected
+
+
+@pytest.mark.parametrize(
+    ("parts", "others", "expected"),
+    [
+        ([([0], [4])], [([3], [9])], 3.5),  # above what the other has
+        ([([0], [4]), ([0], [4])], [([5], [0])], 2.0),  # two are worth more than the other
+        ([([0], [4])], [([5], [0])], 2.0),  # one change of two segments is no minority
+        ([([0], [4])], [([5], [0]), ([-1], [0])], math.inf),  # it would end one at its time and one too early
+        ([([0], [4])], [([3], []), ([-1], [])], 3.5),  # those that end with their trajectory, likewise
+        ([([0], [4])], [([3], [9]), ([-1], [9])], 3.5),  # what they have once they ended does not count
+        ([([3], [1])], [([0], [0]), ([0], [0])], math.inf),  # it never comes in time
+        ([([3], [1])], [([0], [0])], 0.0),
+    ],
+)
+def test_segments_that_end_otherwise_are_left_alone(parts, others, expected):
+    segments, rest, scores = changes_of(parts, others)
+    assert best_threshold(segments, scores, others=rest) == expected
+
+
+@settings(deadline=None)
+@given(PARTS, st.lists(PARTS.map(lambda parts: parts[0]), max_size=8))
+def test_no_threshold_serves_more_of_all_segments(parts, others):
+    segments, rest, scores = changes_of(parts, others)
+
+    def served(at):
+        in_time = recognised_share(segments, scores - at) * len(segments)
+        return round(in_time) + sum(max(before) <= at for before, _ in others), round(in_time)
+
+    threshold = best_threshold(segments, scores, others=rest)
+    levels = [served(level / 4) for level in range(-40, 41)]
+    if threshold == math.inf:
+        assert len(parts) < len(others) and max(levels)[0] <= len(others)
+        return
+    useful = [both for both, in_time in levels if in_time]
+    assert served(threshold)[0] == max(useful) if useful else threshold == 0
 
 
 def test_without_segments_the_decision_boundary_stands():
@@ -107,7 +152,7 @@ def test_without_segments_the_decision_boundary_stands():
 @settings(deadline=None)
 @given(PARTS)
 def test_the_recognised_share_is_of_changes_seen_at_once_and_not_before(parts):
-    segments, margins = changes_of(parts)
+    segments, _, margins = changes_of(parts)
     wanted = sum(max(before) <= 0 < after[0] for before, after in parts) / len(parts)
     assert recognised_share(segments, margins) == pytest.approx(wanted)
     barred = margins.clone()
