@@ -4,6 +4,7 @@
     python train.py --dataset.root=datasets/two_flags --planner.type=baseline
     python train.py --dataset.root=datasets/two_flags --dataset.labels=corrections.json
     python train.py --dataset.root=datasets/two_flags --dagger.iterations=5
+    python train.py --config_path=<run>/checkpoints/last/pretrained_model/train_config.json --resume=true
 
 Finds macro-actions, fits a strong classifier to each and switch functions between them, and saves a policy
 for eval.py in `<output_dir>/checkpoints/last/pretrained_model`, pictures and TensorBoard events beside it.
@@ -11,9 +12,11 @@ With `--dataset.labels`, a file of corrections, the demonstrations in it keep th
 cut anew.
 With `--dagger.iterations` the planner then runs in its world, the world's teacher labels those runs with
 actions, and training repeats with them; the planner that succeeds most in validation worlds is kept.
+A run that was stopped goes on with `--resume=true`, and ends as if nothing had stopped it.
 """
 
 import math
+import sys
 import time
 from typing import TYPE_CHECKING
 
@@ -29,8 +32,9 @@ from dpmacro.segmentation.segments import transition_counts
 from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
 from dpmacro.training.options import TrainOptions
-from dpmacro.training.run_folder import RunFolder
-from dpmacro.training.trainer import Trainer, TrainingResult, plain_options
+from dpmacro.training.resuming import folder_of, stages_of
+from dpmacro.training.run_folder import RunFolder, plain_options
+from dpmacro.training.trainer import Trainer, TrainingResult
 from dpmacro.utils import cli
 from dpmacro.utils.hparams import write_row, write_scores
 
@@ -41,26 +45,38 @@ TOLERANCE = 10  # frames by which a found change point may miss a true one
 
 
 def main(options: TrainOptions) -> None:
-    job_name = options.job_name or options.planner.type
-    folder = RunFolder(options.output_dir) if options.output_dir else RunFolder.dated(job_name)
-    demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit)
+    folder = folder_of(options)
+    if folder is None:
+        print(f"{options.output_dir} is over: its policy is in checkpoints/last/pretrained_model")
+        return
+    demonstrations, asked = read_demonstrations(options.dataset, options.planner.memory_limit), options
     options, given = labelled(options, demonstrations)
     started = time.perf_counter()
-    if options.dagger.iterations:
-        from dpmacro.training.dagger import aggregate  # worlds and their teachers: a second of imports
-
-        result = aggregate(
-            demonstrations, options, folder, lambda done: tqdm.write(dagger_report(done))
-        ).result
-    else:
-        result = Trainer(demonstrations, options, folder, given).train()
+    with stages_of(folder, asked, demonstrations, given):
+        try:
+            result = trained(demonstrations, options, folder, given)
+        except KeyboardInterrupt:
+            print(f"{folder.path} is not over: go on by {folder.going_on}", file=sys.stderr)
+            raise
     seconds = time.perf_counter() - started
     found = scores(result, demonstrations) | {"seconds": seconds}
     write_scores(result.pretrained.parent, found)
     write_row(folder.tensorboard, plain_options(options) | {"world": demonstrations.world}, found)
+    folder.end()
     print(report(result, folder, seconds))
     if demonstrations.truth is not None:
         print(truth_report(own_labels(result, demonstrations), demonstrations))
+
+
+def trained(
+    demonstrations: Demonstrations, options: TrainOptions, folder: RunFolder, given: torch.Tensor | None
+) -> TrainingResult:
+    """What the training ends with."""
+    if not options.dagger.iterations:
+        return Trainer(demonstrations, options, folder, given).train()
+    from dpmacro.training.dagger import aggregate  # worlds and their teachers: a second of imports
+
+    return aggregate(demonstrations, options, folder, lambda done: tqdm.write(dagger_report(done))).result
 
 
 def own_labels(result: TrainingResult, demonstrations: Demonstrations) -> np.ndarray:

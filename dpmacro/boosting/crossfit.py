@@ -12,6 +12,7 @@ from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.features.levels import LEVELS, SortedLevels
+from dpmacro.utils.stages import stage, storable
 
 __all__ = ["CLASSIFIER_FOLDS", "LeftOutScores", "Pace", "left_out_scores", "pace_of"]
 
@@ -41,6 +42,7 @@ def pace_of(actions: Num[Tensor, "frames *dims"]) -> Pace:
     return VECTORS if actions.ndim == 2 else CLASSES
 
 
+@storable
 @dataclass(frozen=True)
 class LeftOutScores:
     """Scores of every frame, by classifiers fitted to the other folds."""
@@ -49,6 +51,7 @@ class LeftOutScores:
     alone: Float[Tensor, "frames outputs"]  # a single classifier: the baseline
 
 
+@stage
 def left_out_scores(
     data: SortedLevels,
     actions: Num[Tensor, "frames *dims"],

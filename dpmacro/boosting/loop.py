@@ -8,6 +8,7 @@ The macro-classes of DPBoost, the baseline and the switch functions are all prob
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int64, Shaped
@@ -16,6 +17,7 @@ from torch import Tensor
 from dpmacro.boosting.learners.base import StrongClassifier, WeakLearner
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.boosting.losses.classes import ExponentialLoss
+from dpmacro.utils.stages import journal
 
 __all__ = ["Boosting", "Round"]
 
@@ -86,6 +88,7 @@ class Boosting:
         self._steps: list[Tensor] = []
         self._memory: object = None
         self._base: Tensor | None = None  # of the round before
+        self._journal = journal()
 
     def round(self, base: Float[Tensor, "frames problems"]) -> Int64[Tensor, " ended"]:
         """Add one weak hypothesis to every problem, fitted to its base weights times the losses so far.
@@ -98,11 +101,8 @@ class Boosting:
         self._revive(base)
         active = base * ~self.ended
         before = (active * self._lost).sum(0, dtype=torch.float64)
-        weights, responses = self.loss.working(self._terms, self.scores, self.targets, active)
-        hypotheses, self._memory = self.learner.fit(
-            weights, responses, self.generator, self._memory, self.loss
-        )
-        steps = self.shrinkage * (~self.ended).to(weights.dtype)
+        hypotheses = self._found(active)
+        steps = self.shrinkage * (~self.ended).to(self.scores.dtype)
         scores = self.learner.outputs(hypotheses).mul_(steps[:, None]).add_(self.scores)
         terms = self.loss.terms(scores, self.targets)
         lost = terms.sum(2)
@@ -119,6 +119,17 @@ class Boosting:
         self._rounds.append(hypotheses)
         self._steps.append(steps)
         return ending.nonzero()[:, 0]
+
+    def _found(self, active: Float[Tensor, "frames problems"]) -> Any:
+        """The round's hypotheses: those of a run that was stopped, where it came so far, or new ones."""
+        known = None if self._journal is None else self._journal.known(self.generator)
+        if known is not None:
+            return known
+        weights, responses = self.loss.working(self._terms, self.scores, self.targets, active)
+        found, self._memory = self.learner.fit(weights, responses, self.generator, self._memory, self.loss)
+        if self._journal is not None:
+            self._journal.note(found, self.generator, self._memory is None)
+        return found
 
     def _revive(self, base: Float[Tensor, "frames problems"]) -> None:
         """Give problems whose base weights are not those of the round before their tries back."""

@@ -10,6 +10,7 @@ from dpmacro.boosting.folds import folds_of
 from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.boosting.losses.base import Loss
+from dpmacro.utils.stages import stage
 
 __all__ = ["BestRound", "validated_rounds"]
 
@@ -38,6 +39,7 @@ class BestRound:
         return bool((self.number - self.best >= self.patience).all())
 
 
+@stage
 def validated_rounds(
     learner: WeakLearner,
     labels: Int64[Tensor, " frames"],

@@ -11,6 +11,7 @@ from torch import Tensor
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.segmentation.recursion import cost_of, segment
 from dpmacro.switching.costs import SwitchCosts
+from dpmacro.utils.stages import storable
 
 __all__ = ["Alternated", "ObjectiveWarning", "alternate", "pooled"]
 
@@ -21,6 +22,7 @@ class ObjectiveWarning(RuntimeWarning):
     """The objective of an alternation rose by more than rounding explains."""
 
 
+@storable
 @dataclass(frozen=True)
 class Alternated:
     """Where the alternation ended from every initial segmentation."""

@@ -26,6 +26,7 @@ from dpmacro.segmentation.marginals import costs_without, margins
 from dpmacro.segmentation.segments import transition_counts
 from dpmacro.switching.functions import SwitchFunctions, causal_labels
 from dpmacro.switching.training import SWITCH_FOLDS, SwitchSettings, fit_switches
+from dpmacro.utils.stages import stage
 
 __all__ = [
     "Candidate",
@@ -215,6 +216,7 @@ def _explaining(
     return sorted(kept[: FINALISTS + LEADERS])
 
 
+@stage
 def _recognised(
     data: SortedLevels,
     task: Task,

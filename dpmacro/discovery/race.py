@@ -23,6 +23,7 @@ from dpmacro.discovery.starts.linear import Moments, linear_alternation
 from dpmacro.discovery.starts.vectors import evidence_of, vector_starts
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import distinct
+from dpmacro.utils.stages import stage
 
 __all__ = ["boosted", "boosted_in_turn", "raced", "taught"]
 
@@ -32,6 +33,7 @@ SURVIVING = 5  # restarts for every segmentation that goes on
 TABLE = 2**24  # scores that stand in memory together
 
 
+@stage
 def boosted(
     data: SortedLevels,
     task: Task,
@@ -67,6 +69,7 @@ def boosted_in_turn(
     return pooled(parts)
 
 
+@stage
 def raced(
     data: SortedLevels,
     task: Task,

@@ -26,6 +26,7 @@ from dpmacro.switching.costs import SwitchCosts, change_log_odds
 from dpmacro.switching.functions import SwitchFunctions
 from dpmacro.switching.threshold import recognised_share
 from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.utils.stages import stage
 
 __all__ = ["FinalFit", "Settled", "settle"]
 
@@ -152,6 +153,7 @@ def _reported(switches: SwitchFunctions, labels: Int64[Tensor, " frames"], task:
     return replace(switches, recognised=torch.tensor(shares))
 
 
+@stage
 def _classifiers(
     fit: FinalFit,
     task: Task,

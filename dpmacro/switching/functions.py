@@ -15,10 +15,12 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import StrongClassifier
+from dpmacro.utils.stages import storable
 
 __all__ = ["SwitchFunctions", "causal_labels", "cued", "predicted_labels"]
 
 
+@storable
 @dataclass(frozen=True)
 class SwitchFunctions:
     """One switch function for every observed change, the same order throughout.

@@ -21,6 +21,7 @@ from dpmacro.segmentation.segments import Segment, macro_segments, starting_macr
 from dpmacro.switching.examples import cues_of, examples, start_examples
 from dpmacro.switching.functions import SwitchFunctions, cued
 from dpmacro.switching.threshold import best_threshold, recognised_share
+from dpmacro.utils.stages import stage
 
 __all__ = ["SWITCH_FOLDS", "SwitchSettings", "fit_switches"]
 
@@ -105,6 +106,7 @@ class _Ends:
         return changes, others
 
 
+@stage
 def fit_switches(
     learner: WeakLearner,
     labels: Int64[Tensor, " frames"],

@@ -7,6 +7,7 @@ those of any new demonstration do; the search for macro-actions is not repeated.
 says which iteration to keep.
 """
 
+import shutil
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -25,8 +26,9 @@ from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes
 from dpmacro.evaluation.run_writer import writing_runs
 from dpmacro.training.collection import gather
 from dpmacro.training.options import DaggerOptions, TrainOptions
-from dpmacro.training.run_folder import RunFolder
-from dpmacro.training.trainer import Trainer, TrainingResult, plain_options
+from dpmacro.training.run_folder import RunFolder, plain_options
+from dpmacro.training.trainer import Trainer, TrainingResult
+from dpmacro.utils.stages import stage
 from dpmacro.worlds import EXPERTS, entry_of, recording_of
 from dpmacro.worlds.actions import ActionMap
 from dpmacro.worlds.base import Recording
@@ -78,7 +80,7 @@ def aggregate(
     told = _told(demonstrations)
     _check_world(demonstrations)
     runs = folder.path / "iterations"
-    trainer = Trainer(demonstrations, options, RunFolder(runs / "0"))
+    trainer = Trainer(demonstrations, options, RunFolder.inner(runs / "0"))
     if TASK in trainer.data.encoder.keys:
         raise ValueError(
             f"{demonstrations.root} has {len(demonstrations.tasks)} tasks, and no world shows the task of a "
@@ -93,7 +95,7 @@ def aggregate(
             new, agreement = _gathered(latest, known, told, dagger, folder.path / "gathered")
             labels = torch.cat([latest.result.found.labels, annotate(latest.result.policy, new).labels])
             known = known.joined(new)
-            trainer = Trainer(known, _settled(options, latest.result), RunFolder(runs / str(number)))
+            trainer = Trainer(known, _settled(options, latest.result), RunFolder.inner(runs / str(number)))
             latest = _validated(number, trainer.train(labels), len(known.lengths), agreement, dagger)
             _tell(latest, writer, on_iteration)
             if latest.successes > best.successes:
@@ -111,21 +113,45 @@ def _validated(
     number: int, result: TrainingResult, trajectories: int, agreement: float, dagger: DaggerOptions
 ) -> Iteration:
     """The planner with its successes in validation worlds."""
+    successes = _successes(number, result, dagger)
+    return Iteration(number, trajectories, agreement, successes, dagger.validation_episodes, result)
+
+
+@stage
+def _successes(number: int, result: TrainingResult, dagger: DaggerOptions) -> int:
     source, n_runs = PlannerSource("policy", result.pretrained), dagger.validation_episodes
     seeds = range(dagger.validation_seed, dagger.validation_seed + n_runs)
     with closing(iter_episodes(source, result.policy.config.world, seeds, dagger.workers)) as episodes:
         bar = tqdm(episodes, f"Validating {number}", n_runs, unit="run")
-        successes = sum(episode.success for episode in bar)
-    return Iteration(number, trajectories, agreement, successes, n_runs, result)
+        return sum(episode.success for episode in bar)
 
 
 def _gathered(
     latest: Iteration, known: Demonstrations, told: Recording, dagger: DaggerOptions, folder: Path
 ) -> tuple[Demonstrations, float]:
     """New runs of the latest planner, also as a dataset in `folder`, and how often it agreed there."""
+    root = folder / str(latest.number + 1)
+    agreement = _agreement(latest, known, told, dagger, root)
+    sizes = {camera: known.observations[camera].shape[2:0:-1] for camera in known.cameras}
+    new = Demonstrations.load(
+        root,
+        inputs=list(known.observations),
+        truth=known.truth_name if known.truth_name in told.truth else "none",
+        transform=ImageTransform(sizes),
+    )
+    return replace(_without_task(new), tasks=known.tasks), agreement
+
+
+@stage
+def _agreement(
+    latest: Iteration, known: Demonstrations, told: Recording, dagger: DaggerOptions, root: Path
+) -> float:
+    """How often the latest planner agrees with the teacher in new runs of its own, written to `root`."""
+    if root.exists():  # written just before the run was stopped
+        shutil.rmtree(root)
     source, world = PlannerSource("policy", latest.result.pretrained), known.world
     first = dagger.seed + latest.number * dagger.episodes
-    seeds, root = range(first, first + dagger.episodes), folder / str(latest.number + 1)
+    seeds = range(first, first + dagger.episodes)
     agreed: list[np.ndarray] = []
     with (
         writing_runs(root, world, told) as writer,
@@ -143,14 +169,7 @@ def _gathered(
                 f"all runs of seeds {seeds[0]} to {seeds[-1]} in {world['id']} ended on their first frame: "
                 "give another --dagger.seed"
             )
-    sizes = {camera: known.observations[camera].shape[2:0:-1] for camera in known.cameras}
-    new = Demonstrations.load(
-        root,
-        inputs=list(known.observations),
-        truth=known.truth_name if known.truth_name in told.truth else "none",
-        transform=ImageTransform(sizes),
-    )
-    return replace(_without_task(new), tasks=known.tasks), float(np.concatenate(agreed).mean())
+    return float(np.concatenate(agreed).mean())
 
 
 def _told(demonstrations: Demonstrations) -> Recording:

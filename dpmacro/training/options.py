@@ -268,8 +268,14 @@ class TrainOptions:
     """Seed of everything random in training."""
     device: str = "cpu"
     """PyTorch device that training runs on, like cpu or cuda."""
+    save_freq: int = 100
+    """Boosting rounds after which a run is saved to go on from there, beside ends of stages; 0 for never."""
+    resume: bool = False
+    """Whether to go on with a run that was stopped, whose train_config.json is given by --config_path."""
 
     def __post_init__(self) -> None:
+        if self.save_freq < 0:
+            raise ValueError(f"save_freq is {self.save_freq}: give 0 or more rounds")
         if self.dataset.root is None:
             raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
         if self.dataset.labels is not None:

@@ -1,12 +1,15 @@
 """A training run's folder, in LeRobot's manner.
 
 <output_dir>/tensorboard/                  events
+<output_dir>/checkpoints/000000/           of a run that is not over: its options, and what it found so far
 <output_dir>/checkpoints/000300/           a round: pretrained_model/ and training_state/
 <output_dir>/checkpoints/last              a link to the newest
 """
 
 import json
 import os
+import shutil
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -18,19 +21,28 @@ from torch import Tensor
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils.files import replacing
 
-__all__ = ["RunFolder"]
+__all__ = ["RunFolder", "plain_options"]
 
 
 class RunFolder:
-    """Where a run writes; refuses a folder that already holds one.
+    """Where a run writes; refuses a folder that already holds one, unless it is to go on there.
 
-    Raises ValueError where `path` exists and is not empty.
+    Raises ValueError where `path` exists and is not empty, or, with `resume`, does not exist.
     """
 
-    def __init__(self, path: Path) -> None:
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise ValueError(f"{path} exists: choose another --output_dir, or remove it")
+    def __init__(self, path: Path, resume: bool = False) -> None:
+        if resume and not path.is_dir():
+            raise ValueError(f"{path} is no folder: give that of the run that is to go on")
         self.path = path
+        if not resume and path.exists() and (not path.is_dir() or any(path.iterdir())):
+            going_on = f", go on with it by {self.going_on}" if self.begun.exists() else ""
+            raise ValueError(f"{path} exists: choose another --output_dir{going_on}, or remove it")
+
+    @classmethod
+    def inner(cls, path: Path) -> "RunFolder":
+        """A run that is a part of another, in that one's folder; it goes on where it is there."""
+        path.mkdir(parents=True, exist_ok=True)
+        return cls(path, resume=True)
 
     @classmethod
     def dated(cls, job_name: str) -> "RunFolder":
@@ -43,9 +55,47 @@ class RunFolder:
         return self.path / "tensorboard"
 
     @property
+    def begun(self) -> Path:
+        """Options of a run that is not over."""
+        return self._unfinished / "pretrained_model" / "train_config.json"
+
+    @property
+    def going_on(self) -> str:
+        """The options of train.py by which such a run goes on."""
+        last = self.path / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
+        return f"--config_path={last} --resume=true"
+
+    @property
+    def stages(self) -> Path:
+        """Where such a run keeps what its stages found."""
+        return self._unfinished / "training_state" / "stages"
+
+    @property
+    def data_digest(self) -> str:
+        """What tells the demonstrations of such a run from others."""
+        return str(json.loads(self._data.read_text())["sha256"])
+
+    @property
+    def over(self) -> bool:
+        """Whether a run has ended here."""
+        policy = self.path / "checkpoints" / "last" / "pretrained_model" / "model.safetensors"
+        return policy.exists() and not self.begun.exists()
+
+    @property
     def figures(self) -> Path:
         """Where pictures go."""
         return self.path / "figures"
+
+    def begin(self, options: dict[str, Any], data_digest: str) -> None:
+        """Write down what a run begins with, so that it can go on if it is stopped."""
+        _write_json(self._data, {"sha256": data_digest})
+        _write_json(self.begun, options)
+        self._link(self._unfinished)
+
+    def end(self) -> None:
+        """Remove what was kept to go on with: the run is over."""
+        self.begun.unlink(missing_ok=True)  # first, since it alone says that the run is not over
+        shutil.rmtree(self._unfinished, ignore_errors=True)
 
     def checkpoint(
         self,
@@ -66,12 +116,35 @@ class RunFolder:
         _write_json(state / "training_step.json", {"step": rounds})
         with replacing(state / "segmentation.safetensors") as path:
             save_file({"labels": labels.cpu().contiguous(), "lengths": lengths.cpu().contiguous()}, path)
-        link = folder.with_name(f".last-{os.getpid()}")
+        return self._link(folder) / "pretrained_model"
+
+    @property
+    def _unfinished(self) -> Path:
+        return self.path / "checkpoints" / "000000"
+
+    @property
+    def _data(self) -> Path:
+        return self._unfinished / "training_state" / "data.json"
+
+    def _link(self, folder: Path) -> Path:
+        """Let `checkpoints/last` point at a folder; returns that link."""
+        link, last = folder.with_name(f".last-{os.getpid()}"), folder.with_name("last")
         link.symlink_to(folder.name)
-        link.replace(folder.with_name("last"))
-        return folder.with_name("last") / "pretrained_model"
+        link.replace(last)
+        return last
 
 
 def _write_json(path: Path, values: dict[str, Any]) -> None:
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(values, indent=2) + "\n")
+
+
+def plain_options(options: Any) -> dict[str, Any]:
+    """Options as JSON holds them: paths become strings."""
+    return _plain(asdict(options))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    return str(value) if isinstance(value, Path) else value

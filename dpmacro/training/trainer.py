@@ -5,9 +5,8 @@ switch functions are fitted on them; a policy, its segmentation, pictures and Te
 """
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Int64
@@ -37,9 +36,9 @@ from dpmacro.training.learners import WeakLearners, rounds_of, shrinkage_of
 from dpmacro.training.monitor import Monitor
 from dpmacro.training.options import PlannerOptions, TrainOptions
 from dpmacro.training.pictures import TrainingPictures
-from dpmacro.training.run_folder import RunFolder
+from dpmacro.training.run_folder import RunFolder, plain_options
 
-__all__ = ["Trainer", "TrainingResult", "plain_options"]
+__all__ = ["Trainer", "TrainingResult"]
 
 
 @dataclass(frozen=True)
@@ -283,14 +282,3 @@ def _settings(planner: PlannerOptions, vectors: bool) -> list[tuple[int, int]]:
     if isinstance(planner.macros, int):
         return [(planner.macros, planner.macros - 1 if given is None else given)]
     return [(1, 0), *searches(planner.max_macros, given, planner.order, vectors)]
-
-
-def plain_options(options: TrainOptions) -> dict[str, Any]:
-    """Options as JSON holds them: paths become strings."""
-    return _plain(asdict(options))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    return str(value) if isinstance(value, Path) else value

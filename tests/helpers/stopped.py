@@ -1,27 +1,28 @@
-"""A process that writes labels and is killed on the way."""
+"""A process that is killed while it writes files."""
 
 import multiprocessing
 import os
 import signal
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
-from dpmacro.annotation.exports.dataset import write_labels
-
+PATIENCE = 300  # seconds
 # Of a process that has no threads: one that pytest forks might wait for its parent's for ever.
 _CONTEXT = multiprocessing.get_context("forkserver")
 
 
-def killed(arguments, at, before=False):
-    """Call `write_labels` in a process that is killed at the rename number `at`; whether it was."""
-    _CONTEXT.set_forkserver_preload(["dpmacro.annotation.exports.dataset", "stopped"])
-    process = _CONTEXT.Process(target=_write, args=(arguments, at, before))
+def killed(function: Callable[..., Any], arguments: Sequence[Any], at: int, before: bool = False) -> bool:
+    """Call it in a process that is killed at its rename number `at`; whether it was."""
+    _CONTEXT.set_forkserver_preload([function.__module__, "stopped"])
+    process = _CONTEXT.Process(target=_call, args=(function, arguments, at, before))
     process.start()
-    process.join(60)
+    process.join(PATIENCE)
     assert process.exitcode in (0, -signal.SIGKILL), process.exitcode
     return process.exitcode != 0
 
 
-def _write(arguments, at, before):
+def _call(function, arguments, at, before):
     rename, count = Path.replace, [0]
 
     def counted(self, target):
@@ -33,4 +34,4 @@ def _write(arguments, at, before):
             os.kill(os.getpid(), signal.SIGKILL)
 
     Path.replace = counted
-    write_labels(*arguments)
+    function(*arguments)

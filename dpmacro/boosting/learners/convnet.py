@@ -23,6 +23,7 @@ from torch.nn import functional
 from dpmacro.boosting.learners.base import HEAVIEST, Frames, overflow
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.boosting.losses.classes import ExponentialLoss
+from dpmacro.utils.stages import storable
 
 __all__ = ["ConvNetClassifier", "ConvNetLearner", "ConvNets"]
 
@@ -34,6 +35,7 @@ CHUNK_FRAMES = 64  # what they fill stays in a cache
 ACTIVATIONS = 2**22  # of the first convolution, for a chunk of frames
 
 
+@storable
 @dataclass(frozen=True)
 class ConvNets:
     """Networks of the same shape side by side: convolution, convolution, a linear vote for every class."""
@@ -85,6 +87,7 @@ class ConvNets:
         return BOUND * (unbounded / BOUND).tanh()
 
 
+@storable
 @dataclass(frozen=True)
 class ConvNetClassifier:
     """Strong classifiers made of networks: f^m(x) = sum_t step_t h_t^m(x)."""

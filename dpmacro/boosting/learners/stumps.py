@@ -12,6 +12,7 @@ from dpmacro.boosting.learners.base import HEAVIEST, Frames, overflow
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.features.levels import LEVELS, SortedColumns, SortedLevels
+from dpmacro.utils.stages import storable
 
 __all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps", "sweep"]
 
@@ -22,6 +23,7 @@ CLASSES = ExponentialLoss()
 SHORTLIST = 64  # columns that every problem passes on to the rounds that re-use them
 
 
+@storable
 @dataclass(frozen=True)
 class Stumps:
     """One stump per problem: h^m(x) = votes[0, m] where level(x) <= threshold, votes[1, m] above it."""
@@ -39,6 +41,7 @@ class Search:
     rounds: int  # how many more
 
 
+@storable
 @dataclass(frozen=True)
 class StumpClassifier:
     """Strong classifiers made of stumps: f^m(x) = sum_t h_t^m(x)."""

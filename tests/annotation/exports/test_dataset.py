@@ -177,7 +177,7 @@ def test_a_run_killed_anywhere_leaves_nothing_finished_and_is_gone_on_with(tmp_p
     whole, output, at = contents(tmp_path / "whole"), tmp_path / "out", 0
 
     arguments = (root, output, stages, ["sarm", "csv"])
-    while killed(arguments, at := at + 1, before=at % 2 == 0):
+    while killed(write_labels, arguments, at := at + 1, before=at % 2 == 0):
         partial = tmp_path / ".out.partial/dataset"
         if output.exists():  # the last rename is that of the whole folder
             assert contents(output) == whole
@@ -186,7 +186,7 @@ def test_a_run_killed_anywhere_leaves_nothing_finished_and_is_gone_on_with(tmp_p
         # What LeRobot takes for a dataset is one that has this file.
         assert not (partial / "meta/info.json").exists() or tree(partial) >= whole.keys()
         if at % 4 == 0:
-            assert killed(arguments, 1, before=True)  # and again
+            assert killed(write_labels, arguments, 1, before=True)  # and again
         done = {name: (partial / name).stat().st_ino for name in tree(partial) & whole.keys()}
         assert at < 3 or done
         write_labels(*arguments)
@@ -200,7 +200,7 @@ def test_a_run_killed_anywhere_leaves_nothing_finished_and_is_gone_on_with(tmp_p
 
 def test_other_labels_are_not_mixed_with_those_of_a_stopped_run(stored, stages, tmp_path):
     other = replace(stages, labels=stages.labels[::-1].copy())
-    assert killed((stored, tmp_path / "out", stages, ["csv"]), 6)
+    assert killed(write_labels, (stored, tmp_path / "out", stages, ["csv"]), 6)
     assert tree(tmp_path / ".out.partial/dataset")
     write_labels(stored, tmp_path / "out", other, ["csv"])
     assert_same_stages(read_labels(tmp_path / "out"), other)
