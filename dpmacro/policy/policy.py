@@ -1,6 +1,5 @@
 """MacroPolicy: strong classifiers and switch functions that turn images into actions; saved and read back."""
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -187,7 +186,7 @@ class MacroPolicy:
         """Where each switch function leads from and to, and its threshold."""
         pairs = torch.tensor(self.config.switches, dtype=torch.int64, device=self.device).reshape(-1, 2)
         sources, targets = pairs.unbind(1)
-        thresholds = [math.inf if own is None else own for own in self.config.thresholds]
+        thresholds = [float("inf") if own is None else own for own in self.config.thresholds]
         return sources, targets, torch.tensor(thresholds, device=self.device)
 
     @cached_property

@@ -18,6 +18,7 @@ __all__ = [
     "DEFAULT",
     "DIAGNOSES",
     "EXPERTS",
+    "LEROBOT_ENVS",
     "MAKERS",
     "OPTIONS",
     "RECORDINGS",
@@ -88,6 +89,9 @@ OPTIONS = {
     FAMILY: "dpmacro.worlds.metaworld:complete_options",
 }
 """Likewise to a function from some of the world's options, by name, to all of them, checked."""
+
+LEROBOT_ENVS = {DEFAULT: "dpmacro.worlds.two_flags.lerobot_env"}
+"""Likewise to the module that registers it as an environment of LeRobot's own programs."""
 
 
 def entry_of(table: Mapping[str, str], world: str) -> Any:

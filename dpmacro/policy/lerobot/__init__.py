@@ -1,11 +1,16 @@
-"""dpmacro's policies, and TwoFlags, in LeRobot's programs; importing this registers both.
+"""dpmacro's policies, and its worlds, in LeRobot's programs; importing this registers all of them.
 
     lerobot-eval --env.discover_packages_path=dpmacro.policy.lerobot --env.type=two_flags --policy.path=...
 
 Nothing else in dpmacro imports this package, since LeRobot takes seconds to import.
 """
 
-from dpmacro.policy.lerobot.configuration_dpmacro import DpmacroConfig
-from dpmacro.policy.lerobot.env_two_flags import TwoFlagsEnvConfig
+from importlib import import_module
 
-__all__ = ["DpmacroConfig", "TwoFlagsEnvConfig"]
+from dpmacro.policy.lerobot.configuration_dpmacro import DpmacroConfig
+from dpmacro.worlds import LEROBOT_ENVS
+
+__all__ = ["DpmacroConfig"]
+
+for _module in LEROBOT_ENVS.values():
+    import_module(_module)

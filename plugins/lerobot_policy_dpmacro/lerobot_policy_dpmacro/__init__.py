@@ -1,5 +1,5 @@
-"""What LeRobot imports where this is installed: it registers dpmacro's policy and its world TwoFlags."""
+"""What LeRobot imports where this is installed: it registers dpmacro's policy and its worlds."""
 
-from dpmacro.policy.lerobot import DpmacroConfig, TwoFlagsEnvConfig
+from dpmacro.policy.lerobot import DpmacroConfig
 
-__all__ = ["DpmacroConfig", "TwoFlagsEnvConfig"]
+__all__ = ["DpmacroConfig"]

@@ -9,9 +9,10 @@ from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.policies.factory import make_policy, make_pre_post_processors
 
-from dpmacro.policy.lerobot import DpmacroConfig, TwoFlagsEnvConfig
+from dpmacro.policy.lerobot import DpmacroConfig
 from dpmacro.policy.lerobot.modeling_dpmacro import DpmacroPolicy
 from dpmacro.policy.policy import MacroPolicy
+from dpmacro.worlds.two_flags.lerobot_env import TwoFlagsEnvConfig
 from tests.policy.lerobot.conftest import TASKS, as_lerobot
 from tests.policy.lerobot.walking import walking_policy
 from tests.policy.test_policy import change_config, random_policy

@@ -11,9 +11,8 @@ from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import env_to_policy_features
 
-from dpmacro.policy.lerobot import TwoFlagsEnvConfig
-from dpmacro.policy.lerobot.env_two_flags import GYM_ID, OPTIONS, TASK
 from dpmacro.worlds.two_flags.env import TwoFlagsConfig
+from dpmacro.worlds.two_flags.lerobot_env import GYM_ID, OPTIONS, TASK, TwoFlagsEnvConfig
 
 SMALL = {"render_size": (64, 48), "max_steps": 3, "flags": "fixed"}
 LEFT = np.array([0, 1, 0], np.float32)

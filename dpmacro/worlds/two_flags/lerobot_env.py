@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import UInt8
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
+from lerobot.utils.constants import ACTION
 
-from dpmacro.policy.files import ACTION
 from dpmacro.worlds import recording_of
 from dpmacro.worlds.two_flags.env import ACTIONS, PIXELS, VIEW, TwoFlagsConfig, TwoFlagsEnv
 
