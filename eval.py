@@ -12,6 +12,9 @@ its steps until then; a policy with recovery goes on. Where the evaluation ends 
 are kept in `eval_info.partial.json`.
 """
 
+if __name__ in ("__main__", "__mp_main__"):
+    import dpmacro.utils.starting  # noqa: F401  Ctrl-C during the imports below is one line
+
 import json
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,6 +31,7 @@ from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes, replay
 from dpmacro.evaluation.stage import Stage
 from dpmacro.metrics.success import SuccessSummary, success_summary
 from dpmacro.utils import cli
+from dpmacro.utils.claims import claimed
 from dpmacro.utils.files import replacing
 from dpmacro.worlds import DEFAULT, RECORDINGS, diagnosis_of, entry_of, recording_of
 from dpmacro.worlds.base import Episode, Moment, WorldError
@@ -94,6 +98,7 @@ def main(options: EvalOptions) -> None:
     for line in check(source, world, options.videos):
         print(line)
     output_dir = options.output_dir or default_output_dir(options.job_name or name)
+    cli.hold(claimed(output_dir))
     if (output_dir / "eval_info.json").exists():
         raise ValueError(f"{output_dir} already holds an eval_info.json: give another --output_dir")
     output_dir.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,9 @@ With `--dagger.iterations` the planner then runs in its world, the world's teach
 actions, and training repeats with them; the planner that succeeds most in validation worlds is kept.
 """
 
+if __name__ in ("__main__", "__mp_main__"):
+    import dpmacro.utils.starting  # noqa: F401  Ctrl-C during the imports below is one line
+
 import math
 import time
 from typing import TYPE_CHECKING
@@ -29,9 +32,10 @@ from dpmacro.segmentation.segments import transition_counts
 from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
 from dpmacro.training.options import TrainOptions
-from dpmacro.training.run_folder import RunFolder
+from dpmacro.training.run_folder import RunFolder, dated_folder
 from dpmacro.training.trainer import Trainer, TrainingResult, plain_options
 from dpmacro.utils import cli
+from dpmacro.utils.files import telling_what_is_safe
 from dpmacro.utils.hparams import write_row, write_scores
 
 if TYPE_CHECKING:
@@ -41,8 +45,13 @@ TOLERANCE = 10  # frames by which a found change point may miss a true one
 
 
 def main(options: TrainOptions) -> None:
-    job_name = options.job_name or options.planner.type
-    folder = RunFolder(options.output_dir) if options.output_dir else RunFolder.dated(job_name)
+    path = options.output_dir or dated_folder(options.job_name or options.planner.type)
+    with RunFolder.claimed(path) as folder, telling_what_is_safe(folder.path, folder.saved):
+        train(options, folder)
+
+
+def train(options: TrainOptions, folder: RunFolder) -> None:
+    """Train, print what was found, and write it down."""
     demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit)
     options, given = labelled(options, demonstrations)
     started = time.perf_counter()
@@ -55,12 +64,12 @@ def main(options: TrainOptions) -> None:
     else:
         result = Trainer(demonstrations, options, folder, given).train()
     seconds = time.perf_counter() - started
-    found = scores(result, demonstrations) | {"seconds": seconds}
-    write_scores(result.pretrained.parent, found)
-    write_row(folder.tensorboard, plain_options(options) | {"world": demonstrations.world}, found)
     print(report(result, folder, seconds))
     if demonstrations.truth is not None:
         print(truth_report(own_labels(result, demonstrations), demonstrations))
+    found = scores(result, demonstrations) | {"seconds": seconds}
+    write_scores(result.pretrained.parent, found)
+    write_row(folder.tensorboard, plain_options(options) | {"world": demonstrations.world}, found)
 
 
 def own_labels(result: TrainingResult, demonstrations: Demonstrations) -> np.ndarray:

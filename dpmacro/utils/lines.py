@@ -1,0 +1,69 @@
+"""What a script says on standard error: a line for an error, for a warning, and for a thread that failed."""
+
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
+
+from tqdm import tqdm
+
+from dpmacro.utils.files import NO_SPACE
+
+__all__ = ["in_a_line", "threads_in_a_line", "warnings_in_a_line"]
+
+PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def in_a_line(error: ValueError | OSError) -> str:
+    """What went wrong in one line; the remedy of a full disk, where a part of the package gave none."""
+    if isinstance(error, OSError) and error.errno in NO_SPACE:
+        place = error.filename or "a file"
+        return f"{place}: cannot be written ({error.strerror}); free some space there and run it again"
+    return " ".join(str(error).split())
+
+
+@contextmanager
+def warnings_in_a_line(script: str) -> Iterator[None]:
+    """A warning that the package or the script raises is a line on stderr; others stay as they are."""
+    with warnings.catch_warnings():
+        show_others = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            own = filename == script or PACKAGE in Path(filename).resolve().parents
+            if own and issubclass(category, (UserWarning, RuntimeWarning)):
+                # Progress bars are cleared for the line and drawn again below it.
+                tqdm.write(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+            else:
+                show_others(message, category, filename, lineno, file, line)
+
+        warnings.showwarning = show
+        yield
+
+
+@contextmanager
+def threads_in_a_line() -> Iterator[None]:
+    """A thread that ends for lack of space says so in a line; a bug in one keeps its traceback."""
+    show_others = threading.excepthook
+
+    def show(arguments: threading.ExceptHookArgs) -> None:
+        error = arguments.exc_value
+        if isinstance(error, OSError) and error.errno in NO_SPACE:
+            tqdm.write(f"warning: {in_a_line(error)}", file=sys.stderr)
+        else:
+            show_others(arguments)
+
+    threading.excepthook = show
+    try:
+        yield
+    finally:
+        threading.excepthook = show_others
