@@ -14,6 +14,7 @@ from dpmacro.utils.files import NO_SPACE
 
 __all__ = ["in_a_line", "threads_in_a_line", "warnings_in_a_line"]
 
+EVENTS = "TensorBoard's events"  # what threads write that name no file
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -58,7 +59,8 @@ def threads_in_a_line() -> Iterator[None]:
     def show(arguments: threading.ExceptHookArgs) -> None:
         error = arguments.exc_value
         if isinstance(error, OSError) and error.errno in NO_SPACE:
-            tqdm.write(f"warning: {in_a_line(error)}", file=sys.stderr)
+            event = error if error.filename else OSError(error.errno, error.strerror, EVENTS)
+            tqdm.write(f"warning: {in_a_line(event)}", file=sys.stderr)
         else:
             show_others(arguments)
 
