@@ -41,6 +41,7 @@ from dpmacro.worlds.making import WorldOptions, complete
 
 VIDEO_EVERY, LONG = 4, 300  # steps that a video shows as one frame, of runs with more steps than that
 PARTIAL = "eval_info.partial.json"
+LARGEST = 2**32 - 1  # of options that are counts, and of seeds
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,8 @@ class EvalOptions:
         for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"--{name}={getattr(self, name)}: it must be at least {least}")
+            if getattr(self, name) > LARGEST:
+                raise ValueError(f"--{name}={getattr(self, name)}: it must be at most {LARGEST}")
 
 
 def main(options: EvalOptions) -> None:

@@ -69,7 +69,8 @@ def claimed(folder: Path, option: str = "--output_dir", *, beside: bool = False)
     finally:
         with suppress(OSError):  # something lies in it
             for one in made:
-                one.rmdir()
+                with suppress(FileNotFoundError):
+                    one.rmdir()
 
 
 def locked(file: IO[str]) -> bool | None:

@@ -26,7 +26,12 @@ from yaml import YAMLError
 
 from dpmacro.utils import interrupts, starting
 from dpmacro.utils.lines import in_a_line, threads_in_a_line, warnings_in_a_line
-from dpmacro.utils.option_files import OTHERS, check_known, paths_as_text
+from dpmacro.utils.option_files import (
+    OTHERS,
+    check_known,
+    paths_as_text,
+    refuse_groups_beside_options,
+)
 from dpmacro.utils.starting import INTERRUPTED
 
 __all__ = ["hold", "parse", "run", "sentence_of"]
@@ -73,6 +78,7 @@ def parse(config_class: type[Config], arguments: Sequence[str] | None = None) ->
         raise ValueError(_with_suggestion(message, parser))
 
     parser.parser.error = fail
+    refuse_groups_beside_options(arguments, config_class)
     arguments = paths_as_text(arguments, config_class)
     file = _check_readable(arguments, config_class)
     arguments, others = _apart(arguments, config_class, parser)

@@ -15,15 +15,24 @@ from dpmacro.utils.files import NO_SPACE
 __all__ = ["in_a_line", "threads_in_a_line", "warnings_in_a_line"]
 
 EVENTS = "TensorBoard's events"  # what threads write that name no file
+WORD, LINE = 300, 1400  # letters of a word, and of a line, at most
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def in_a_line(error: ValueError | OSError) -> str:
     """What went wrong in one line; the remedy of a full disk, where a part of the package gave none."""
+    text = str(error)
     if isinstance(error, OSError) and error.errno in NO_SPACE:
         place = error.filename or "a file"
-        return f"{place}: cannot be written ({error.strerror}); free some space there and run it again"
-    return " ".join(str(error).split())
+        text = f"{place}: cannot be written ({error.strerror}); free some space there and run it again"
+    line = " ".join(_shortened(word, WORD) for word in text.split())
+    line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line)
+    return _shortened(line, LINE)
+
+
+def _shortened(text: str, letters: int) -> str:
+    """Of a text that is longer, the two ends."""
+    return text if len(text) <= letters else f"{text[: letters // 2]}…{text[-letters // 2 :]}"
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-__all__ = ["OTHERS", "check_known", "option_types", "paths_as_text"]
+__all__ = ["OTHERS", "check_known", "option_types", "paths_as_text", "refuse_groups_beside_options"]
 
 OTHERS = "OTHERS"  # of a group of options
 QUOTES = ("'", '"')
@@ -54,6 +54,15 @@ def paths_as_text(arguments: Sequence[str], config_class: type) -> list[str]:
         else:
             quoted.append(argument)
     return quoted
+
+
+def refuse_groups_beside_options(arguments: Sequence[str], config_class: type) -> None:
+    """Raise ValueError where a group of options is given as a whole, and one of its options as well."""
+    given = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
+    for group in {name.rpartition(".")[0] for name in option_types(config_class)} - {""}:
+        inner = [name for name in given if name.startswith(f"--{group}.")]
+        if f"--{group}" in given and inner:
+            raise ValueError(f"--{group} is given beside {inner[0]}: give the options of {group} one by one")
 
 
 def _quoted(value: str) -> str:

@@ -145,3 +145,15 @@ def test_a_picture_that_fails_is_a_line_and_the_report_is_whole(tmp_path, monkey
     with pytest.warns(UserWarning, match="the picture segmentation could not be made"):
         write_report(summary, pictures(summary, 0), tmp_path / "again")
     assert (tmp_path / "again/segmentation.json").exists()
+
+
+def test_what_says_that_a_report_is_complete_is_written_last(tmp_path, monkeypatch):
+    def killed(*given):
+        assert not (tmp_path / "segmentation.json").exists()
+        raise KeyboardInterrupt
+
+    summary = some_summary()
+    monkeypatch.setattr("dpmacro.annotation.report.write_page", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_report(summary, iter(()), tmp_path)
+    assert not (tmp_path / "segmentation.json").exists()

@@ -107,6 +107,12 @@ def test_what_is_no_claim_is_written_over(tmp_path, text):
             assert claim.dead is None
 
 
+def test_folders_above_one_that_cannot_be_made_go_as_well(tmp_path):
+    with pytest.raises(OSError, match="too long"), claimed(tmp_path / "a/b" / ("x" * 250), beside=True):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("path", ["file", "file/run"])
 def test_a_file_is_no_folder(tmp_path, path):
     (tmp_path / "file").touch()

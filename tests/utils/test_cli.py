@@ -64,13 +64,17 @@ def test_options_come_as_lerobot_has_them(tmp_path):
         ("--name=a: b: c", "--name=a: b: c cannot be read (mapping values are not allowed here)"),
         ("--folder=", "folder is empty: give a path"),
         ("--inner=3", "`inner`: 3 is nothing that it can be"),
+        (
+            "--inner={}|--inner.count=1",
+            "--inner is given beside --inner.count: give the options of inner one",
+        ),
         ("--name=2024-13-45", "--name=2024-13-45 cannot be read (month must be in 1..12)"),
         ("--inner.size=3,4", "write it in brackets"),
         ("--inner.size=3", "write it in brackets"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(monkeypatch, capsys, argument, message):
-    monkeypatch.setattr(sys, "argv", ["script.py", argument])
+    monkeypatch.setattr(sys, "argv", ["script.py", *argument.split("|")])
     with pytest.raises(SystemExit) as stop:
         cli.run(lambda options: None, Options)
     error = capsys.readouterr().err
@@ -193,7 +197,8 @@ def test_a_thread_that_finds_the_disk_full_says_so_in_a_line(monkeypatch, capsys
 
 
 @pytest.mark.parametrize(
-    ("error", "status"), [(ValueError("a\n  b"), 2), (FileNotFoundError("c"), 2), (KeyboardInterrupt(), 130)]
+    ("error", "status"),
+    [(ValueError("a\n  b\x1b\ud800"), 2), (FileNotFoundError("c"), 2), (KeyboardInterrupt(), 130)],
 )
 def test_what_main_raises_becomes_one_line(monkeypatch, capsys, error, status):
     def main(options):
@@ -204,6 +209,14 @@ def test_what_main_raises_becomes_one_line(monkeypatch, capsys, error, status):
         cli.run(main, Options)
     assert stop.value.code == status
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_a_long_value_is_shortened_in_the_line(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["script.py", f"--name={'9' * 5000}"])
+    with pytest.raises(SystemExit):
+        cli.run(lambda options: None, Options)
+    error = capsys.readouterr().err
+    assert error.startswith("error: --name=999") and "…999" in error and len(error) < 800
 
 
 def test_a_bug_keeps_its_traceback(monkeypatch):
