@@ -81,7 +81,7 @@ def test_a_second_recording_is_refused_before_a_run(script, refused, tmp_path, m
 def test_what_a_killed_recording_left_is_removed_and_named(script, refused, tmp_path, monkeypatch, capsys):
     (tmp_path / ".data.claim").write_text(json.dumps({"process": KILLED}))
     (tmp_path / ".data.abc.partial/dataset").mkdir(parents=True)
-    monkeypatch.setattr(script("datasets/record.py"), "expert_runs", lambda *given: iter(()))
+    monkeypatch.setattr(script("datasets/record.py"), "expert_runs", lambda *given: (one for one in ()))
     monkeypatch.setattr(sys, "argv", ["record.py", f"--root={tmp_path / 'data'}"])
     with pytest.raises(SystemExit):
         cli.run(script("datasets/record.py").main, script("datasets/record.py").RecordConfig)
@@ -122,3 +122,9 @@ def test_an_annotation_for_which_the_disk_is_full_says_what_is_safe(
     (tmp_path / "out/training/checkpoints/last/pretrained_model").mkdir(parents=True)
     safe = script("datasets/annotate.py").kept(tmp_path / "out")
     assert safe.endswith("out/training/checkpoints/last/pretrained_model, --policy.path takes it")
+
+
+@pytest.mark.parametrize("name", ["episodes", "seed", "workers", "videos"])
+def test_an_evaluation_refuses_numbers_that_nothing_can_count(refused, name):
+    line = refused("eval.py", "EvalOptions", "--policy.type=teacher", f"--{name}={2**64}")
+    assert line == f"error: --{name}={2**64}: it must be at most {2**32 - 1}"

@@ -507,7 +507,7 @@ def test_a_full_disk_at_a_checkpoint_says_what_is_not_saved(recorded, tmp_path, 
 
 
 def test_a_full_disk_after_the_policy_leaves_it_and_the_report(recorded, tmp_path, monkeypatch, capsys):
-    def full(*given):
+    def full(*given, **options):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("dpmacro.figures.style.Figure.savefig", full)
