@@ -25,7 +25,7 @@ from draccus.wrappers.docstring import get_attribute_docstring
 from yaml import YAMLError
 
 from dpmacro.utils import interrupts, starting
-from dpmacro.utils.lines import in_a_line, threads_in_a_line, warnings_in_a_line
+from dpmacro.utils.lines import in_a_line, say, threads_in_a_line, warnings_in_a_line
 from dpmacro.utils.option_files import (
     OTHERS,
     check_known,
@@ -107,13 +107,13 @@ def run(main: Callable[[Config], None], config_class: type[Config]) -> None:
             with _holding():
                 main(parse(config_class))
     except (ValueError, OSError) as error:
-        print(f"error: {in_a_line(error)}", file=sys.stderr)
+        say(f"error: {in_a_line(error)}")
         sys.exit(USAGE_ERROR)
     except interrupts.Terminated as error:
-        print(f"ended by {error}", file=sys.stderr)
+        say(f"ended by {error}")
         sys.exit(SIGNALLED + error.number)
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        say("interrupted")
         sys.exit(INTERRUPTED)
 
 

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from dpmacro.utils.files import NO_SPACE
 
-__all__ = ["in_a_line", "threads_in_a_line", "warnings_in_a_line"]
+__all__ = ["in_a_line", "say", "threads_in_a_line", "warnings_in_a_line"]
 
 EVENTS = "TensorBoard's events"  # what threads write that name no file
 WORD, LINE = 300, 1400  # letters of a word, and of a line, at most
@@ -28,6 +28,11 @@ def in_a_line(error: ValueError | OSError) -> str:
     line = " ".join(_shortened(word, WORD) for word in text.split())
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line)
     return _shortened(line, LINE)
+
+
+def say(line: str) -> None:
+    """Write a line to standard error; progress bars are cleared for it and drawn again below."""
+    tqdm.write(line, file=sys.stderr)
 
 
 def _shortened(text: str, letters: int) -> str:
@@ -51,8 +56,7 @@ def warnings_in_a_line(script: str) -> Iterator[None]:
         ) -> None:
             own = filename == script or PACKAGE in Path(filename).resolve().parents
             if own and issubclass(category, (UserWarning, RuntimeWarning)):
-                # Progress bars are cleared for the line and drawn again below it.
-                tqdm.write(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+                say(f"warning: {' '.join(str(message).split())}")
             else:
                 show_others(message, category, filename, lineno, file, line)
 
@@ -69,7 +73,7 @@ def threads_in_a_line() -> Iterator[None]:
         error = arguments.exc_value
         if isinstance(error, OSError) and error.errno in NO_SPACE:
             event = error if error.filename else OSError(error.errno, error.strerror, EVENTS)
-            tqdm.write(f"warning: {in_a_line(event)}", file=sys.stderr)
+            say(f"warning: {in_a_line(event)}")
         else:
             show_others(arguments)
 

@@ -20,7 +20,7 @@ from dpmacro.utils import cli
 from dpmacro.utils.option_files import option_types
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = int(os.environ.get("DPMACRO_FUZZ_EXAMPLES", "40"))
+EXAMPLES = int(os.environ.get("DPMACRO_FUZZ_EXAMPLES", "25"))
 SLOWEST = 20  # seconds
 
 # What is put in place of the work, by script; `stream` is for what is asked for one result after another.

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
+from tqdm import tqdm
 
 from dpmacro.utils import cli
 
@@ -209,6 +210,21 @@ def test_what_main_raises_becomes_one_line(monkeypatch, capsys, error, status):
         cli.run(main, Options)
     assert stop.value.code == status
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_an_error_has_a_line_of_its_own_though_a_progress_bar_is_open(monkeypatch, capsys):
+    def main(options):
+        bars.append(tqdm(total=5))
+        bars[0].update()
+        raise ValueError("no more")
+
+    bars = []
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    with pytest.raises(SystemExit):
+        cli.run(main, Options)
+    error = capsys.readouterr().err
+    bars[0].close()
+    assert "error: no more" in error.replace("\r", "\n").splitlines()
 
 
 def test_a_long_value_is_shortened_in_the_line(monkeypatch, capsys):
