@@ -12,6 +12,9 @@ its steps until then; a policy with recovery goes on. Where the evaluation ends 
 are kept in `eval_info.partial.json`.
 """
 
+if __name__ in ("__main__", "__mp_main__"):
+    import dpmacro.utils.starting  # noqa: F401  Ctrl-C during the imports below is one line
+
 import json
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,6 +31,7 @@ from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes, replay
 from dpmacro.evaluation.stage import Stage
 from dpmacro.metrics.success import SuccessSummary, success_summary
 from dpmacro.utils import cli
+from dpmacro.utils.claims import claimed
 from dpmacro.utils.files import replacing
 from dpmacro.worlds import DEFAULT, RECORDINGS, diagnosis_of, entry_of, recording_of
 from dpmacro.worlds.base import Episode, Moment, WorldError
@@ -37,6 +41,7 @@ from dpmacro.worlds.making import WorldOptions, complete
 
 VIDEO_EVERY, LONG = 4, 300  # steps that a video shows as one frame, of runs with more steps than that
 PARTIAL = "eval_info.partial.json"
+LARGEST = 2**32 - 1  # of options that are counts, and of seeds
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,8 @@ class EvalOptions:
         for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"--{name}={getattr(self, name)}: it must be at least {least}")
+            if getattr(self, name) > LARGEST:
+                raise ValueError(f"--{name}={getattr(self, name)}: it must be at most {LARGEST}")
 
 
 def main(options: EvalOptions) -> None:
@@ -94,6 +101,7 @@ def main(options: EvalOptions) -> None:
     for line in check(source, world, options.videos):
         print(line)
     output_dir = options.output_dir or default_output_dir(options.job_name or name)
+    cli.hold(claimed(output_dir))
     if (output_dir / "eval_info.json").exists():
         raise ValueError(f"{output_dir} already holds an eval_info.json: give another --output_dir")
     output_dir.mkdir(parents=True, exist_ok=True)

@@ -15,6 +15,9 @@ actions, and training repeats with them; the planner that succeeds most in valid
 A run that was stopped goes on with `--resume=true`, and ends as if nothing had stopped it.
 """
 
+if __name__ in ("__main__", "__mp_main__"):
+    import dpmacro.utils.starting  # noqa: F401  Ctrl-C during the imports below is one line
+
 import math
 import sys
 import time
@@ -32,10 +35,11 @@ from dpmacro.segmentation.segments import transition_counts
 from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
 from dpmacro.training.options import TrainOptions
-from dpmacro.training.resuming import folder_of, stages_of
+from dpmacro.training.resuming import check_unchanged, kept_stages, path_of
 from dpmacro.training.run_folder import RunFolder, plain_options
 from dpmacro.training.trainer import Trainer, TrainingResult
 from dpmacro.utils import cli
+from dpmacro.utils.files import telling_what_is_safe
 from dpmacro.utils.hparams import write_row, write_scores
 
 if TYPE_CHECKING:
@@ -45,27 +49,35 @@ TOLERANCE = 10  # frames by which a found change point may miss a true one
 
 
 def main(options: TrainOptions) -> None:
-    folder = folder_of(options)
-    if folder is None:
-        print(f"{options.output_dir} is over: its policy is in checkpoints/last/pretrained_model")
-        return
+    path = path_of(options)
+    with RunFolder.claimed(path, options.resume) as folder, telling_what_is_safe(folder.path, folder.saved):
+        if options.resume and folder.over:
+            print(f"{folder.path} is over: its policy is in {folder.last}")
+            return
+        if options.resume:
+            check_unchanged(options, folder)
+        train(options, folder)
+
+
+def train(options: TrainOptions, folder: RunFolder) -> None:
+    """Train, print what was found, and write it down."""
     demonstrations, asked = read_demonstrations(options.dataset, options.planner.memory_limit), options
     options, given = labelled(options, demonstrations)
     started = time.perf_counter()
-    with stages_of(folder, asked, demonstrations, given):
-        try:
+    try:
+        with kept_stages(folder, asked, demonstrations, given):
             result = trained(demonstrations, options, folder, given)
-        except KeyboardInterrupt:
-            print(f"{folder.path} is not over: go on by {folder.going_on}", file=sys.stderr)
-            raise
+    except KeyboardInterrupt:
+        print(folder.saved(), file=sys.stderr)
+        raise
     seconds = time.perf_counter() - started
+    print(report(result, folder, seconds))
+    if demonstrations.truth is not None:
+        print(truth_report(own_labels(result, demonstrations), demonstrations))
     found = scores(result, demonstrations) | {"seconds": seconds}
     write_scores(result.pretrained.parent, found)
     write_row(folder.tensorboard, plain_options(options) | {"world": demonstrations.world}, found)
     folder.end()
-    print(report(result, folder, seconds))
-    if demonstrations.truth is not None:
-        print(truth_report(own_labels(result, demonstrations), demonstrations))
 
 
 def trained(

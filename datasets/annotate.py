@@ -14,6 +14,9 @@ Rerun where --rerun=true asks for them. Where the dataset has a column of true l
 is printed.
 """
 
+if __name__ in ("__main__", "__mp_main__"):
+    import dpmacro.utils.starting  # noqa: F401  Ctrl-C during the imports below is one line
+
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -46,6 +49,8 @@ from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOption
 from dpmacro.training.run_folder import RunFolder
 from dpmacro.training.trainer import Trainer
 from dpmacro.utils import cli
+from dpmacro.utils.claims import claimed
+from dpmacro.utils.files import telling_what_is_safe
 
 RECORDINGS = "rerun"  # a folder beside the page
 # Options of a training's data, which a policy has had.
@@ -167,6 +172,8 @@ def main(options: AnnotateOptions) -> None:
         require_rerun()
     refuse_within(output_dir, root, options.output)
     refuse_unwritable("--output_dir", output_dir)
+    cli.hold(claimed(output_dir))
+    cli.hold(telling_what_is_safe(output_dir, lambda: kept(output_dir)))
     if options.output is not None:
         refuse_places(root, options.output)
         refuse_unwritable("--output", options.output)
@@ -301,6 +308,12 @@ def refuse_within(output_dir: Path, root: Path, output: Path | None) -> None:
             raise ValueError(
                 f"--output_dir={output_dir}: lies in the dataset {dataset}; give a folder that does not"
             )
+
+
+def kept(output_dir: Path) -> str:
+    """What is safe where the disk is full, in words."""
+    folder = RunFolder(output_dir / "training", resume=True)
+    return f"{folder.saved()}, --policy.path takes it" if folder.last.exists() else "the dataset is as it was"
 
 
 def default_output_dir(root: Path) -> Path:

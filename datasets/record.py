@@ -14,6 +14,9 @@ Noise is added to the moves that are made and not to those that are recorded, so
 the way back, too.
 """
 
+if __name__ in ("__main__", "__mp_main__"):
+    import dpmacro.utils.starting  # noqa: F401  Ctrl-C during the imports below is one line
+
 import math
 import time
 from contextlib import closing
@@ -25,6 +28,8 @@ from tqdm import tqdm
 from dpmacro.evaluation.recording import check_expert, expert_runs
 from dpmacro.evaluation.run_writer import writing_runs
 from dpmacro.utils import cli
+from dpmacro.utils.claims import claimed
+from dpmacro.utils.files import telling_what_is_safe
 from dpmacro.worlds import DEFAULT
 from dpmacro.worlds.making import WorldOptions, complete
 
@@ -64,6 +69,8 @@ def main(cfg: RecordConfig) -> None:
     told = check_expert(world, cfg.noise)
     kept = failed = tried = 0
     with (
+        claimed(cfg.root, "--root", beside=True),
+        telling_what_is_safe(cfg.root, lambda: "nothing of it is kept"),
         writing_runs(cfg.root, world, told, cfg.noise) as writer,
         closing(expert_runs(world, cfg.seed, cfg.workers, cfg.noise, cfg.view)) as runs,
         tqdm(total=cfg.episodes, unit="episode") as bar,

@@ -55,8 +55,16 @@ class Picture:
 
 
 def pictures(summary: Summary, shown: int) -> Iterator[Picture]:
-    """Made one at a time: those of the dataset, then the first `shown` demonstrations."""
-    return (draw() for draw in _drawings(summary, shown))
+    """Made one at a time: those of the dataset, then the first `shown` demonstrations.
+
+    One that fails is a warning, and the others are made.
+    """
+    for place, draw in enumerate(_drawings(summary, shown)):
+        picture = None
+        with figures.surviving(f"number {place}"):
+            picture = draw()
+        if picture is not None:
+            yield picture
 
 
 def picture_count(summary: Summary, shown: int) -> int:

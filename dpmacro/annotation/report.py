@@ -61,13 +61,14 @@ def write_report(
             for name, value in scores.items():
                 writer.add_scalar(f"{group}/{name}", value, 0)
         for picture in made:
-            png = figures.to_png(picture.figure)
-            with replacing(folder / "figures" / f"{picture.name}.png") as path:
-                path.write_bytes(png)
-            image = figures.to_image(picture.figure)
-            writer.add_image(f"figures/{picture.name}", image, 0, dataformats="HWC")
-            if picture.heading not in STRIPS:
-                report.append((picture.heading, html.picture(png, picture.alt, picture.caption)))
+            with figures.surviving(picture.name):
+                png = figures.to_png(picture.figure)
+                with replacing(folder / "figures" / f"{picture.name}.png") as path:
+                    path.write_bytes(png)
+                image = figures.to_image(picture.figure)
+                writer.add_image(f"figures/{picture.name}", image, 0, dataformats="HWC")
+                if picture.heading not in STRIPS:
+                    report.append((picture.heading, html.picture(png, picture.alt, picture.caption)))
     shown = shown_beside(summary, "".join(_parts(summary, report)), cameras, reasons)
     shown = replace(shown, corrections=corrections)
     name = summary.demonstrations.root.resolve().name

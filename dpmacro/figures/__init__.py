@@ -13,7 +13,7 @@ from dpmacro.figures.graphs import edge_counts, transition_graph
 from dpmacro.figures.heatmaps import heat_maps
 from dpmacro.figures.stills import Still, Strip, film_strips
 from dpmacro.figures.strips import Line
-from dpmacro.figures.style import macro_colour, save, to_image, to_png
+from dpmacro.figures.style import macro_colour, save, surviving, to_image, to_png
 from dpmacro.figures.timelines import timeline, timelines
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "save",
     "selection_chart",
     "success_chart",
+    "surviving",
     "timeline",
     "timelines",
     "to_image",

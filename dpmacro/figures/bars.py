@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from dpmacro.figures.style import INK, bare, faded, macro_colour, set_title, shortened
+from dpmacro.figures.style import INK, bare, faded, macro_colour, one_line, set_title, shortened
 
 __all__ = ["column_bars"]
 
@@ -47,7 +47,7 @@ def column_bars(
         _bars(axis, own, macro_colour(macro), tall)
         axis.set_xlim(0, widest * 1.12)
         name = names[macro] if macro < len(names) else f"macro-action {macro}"
-        axis.set_title(name, fontsize=10, loc="left", color=INK)
+        axis.set_title(one_line(name), fontsize=10, loc="left", color=INK)
     for axis in axes[len(shares) :]:
         axis.set_visible(False)
     set_title(figure, title)
@@ -67,7 +67,7 @@ def _bars(axis: Axes, shares: Mapping[str, float], colour: str, tall: int) -> No
             "color": INK,
             "transform": axis.get_yaxis_transform(),
         }
-        axis.text(0.025, row, shortened(name, LETTERS), **style)
+        axis.text(0.025, row, shortened(one_line(name), LETTERS), **style)
         axis.text(1.0, row, f"{share:.0%}", ha="right", **style)
     if not shares:
         axis.text(0.025, 0, "none", va="center", fontsize=8, color=INK, transform=axis.get_yaxis_transform())

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 
-from dpmacro.figures.style import INK, PALETTE, WIDTH, bare, legend, plain, set_title
+from dpmacro.figures.style import INK, PALETTE, WIDTH, bare, legend, one_line, plain, set_title
 from dpmacro.metrics.success import wilson_interval
 
 OUTCOME_COLOURS = {
@@ -68,7 +68,7 @@ def success_chart(outcomes: Mapping[str, Mapping[str, int]], title: str = "") ->
         axis.text(1.02, row, text, va="center", color=INK)
     bare(axis)
     axis.tick_params(axis="both", length=0, labelleft=True, labelbottom=True)
-    axis.set_yticks(range(len(outcomes)), list(outcomes))
+    axis.set_yticks(range(len(outcomes)), [one_line(name) for name in outcomes])
     axis.set_ylim(len(outcomes) - 0.5, -0.5)
     axis.set_xlim(0, 1)
     axis.xaxis.set_major_formatter(PercentFormatter(1.0))
@@ -186,7 +186,7 @@ def elbow(cost_by_bound: Float[np.ndarray, " bounds"], chosen: int | None = None
 
 
 def _panel(axis: Axes, quantity: str, x_name: str) -> None:
-    axis.set_title(quantity, fontsize=11, loc="left", color=INK)
+    axis.set_title(one_line(quantity), fontsize=11, loc="left", color=INK)
     axis.set_xlabel(x_name)
     axis.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1))
     plain(axis)

@@ -11,7 +11,7 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from dpmacro.figures.style import INK, bare, macro_colour, set_title
+from dpmacro.figures.style import INK, bare, macro_colour, one_line, set_title
 
 HEAT = colormaps["YlOrRd"]  # what it lies on is grey
 STEEP = 0.5  # power of the scale: a few pixels hold most of the weight
@@ -47,7 +47,7 @@ def heat_maps(
         axes[row, column].imshow(means[macro], interpolation="nearest")
         _heat(axes[row + 1, column], means[macro], norm(heat[macro]))
         name = names[macro] if macro < len(names) else f"macro-action {macro}"
-        axes[row, column].set_title(name, fontsize=10, loc="left", color=INK)
+        axes[row, column].set_title(one_line(name), fontsize=10, loc="left", color=INK)
         for axis in axes[row : row + 2, column]:
             axis.spines["left"].set(visible=True, color=macro_colour(macro), linewidth=5)
     for axis in axes.reshape(rows, 2, across).swapaxes(1, 2).reshape(-1, 2)[n_macros:].ravel():

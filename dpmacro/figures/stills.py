@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import UInt8
 from matplotlib.figure import Figure
 
-from dpmacro.figures.style import GREYS, INK, macro_colour, set_title
+from dpmacro.figures.style import GREYS, INK, macro_colour, one_line, set_title
 
 ACROSS = 1.63  # inches, of a picture
 BETWEEN = 0.1  # pictures
@@ -86,6 +86,6 @@ def _draw(figure: Figure, still: Still, place: tuple[float, float, float, float]
     axis.set(xticks=[], yticks=[])
     colour = GREYS[2] if still.macro < 0 else macro_colour(still.macro)
     axis.spines[:].set(color=colour, linewidth=4)
-    axis.set_title(still.what, loc="left", fontsize=SMALL, pad=5, color=INK)
-    axis.set_title(still.when, loc="right", fontsize=SMALL, pad=5, color=INK)
+    axis.set_title(one_line(still.what), loc="left", fontsize=SMALL, pad=5, color=INK)
+    axis.set_title(one_line(still.when), loc="right", fontsize=SMALL, pad=5, color=INK)
     axis.text(0, -0.05, still.state, transform=axis.transAxes, va="top", fontsize=SMALL, color=INK)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
-from dpmacro.figures.style import FAINT, INK, PALETTE, WIDTH, faded, ink_on
+from dpmacro.figures.style import FAINT, INK, PALETTE, WIDTH, faded, ink_on, one_line
 
 __all__ = [
     "STRIP",
@@ -95,8 +95,9 @@ def write_names(
         shades = faded(shades, confidence)
     for start, end in zip(*_stretches(values), strict=True):
         number = int(values[start])
+        name = one_line(names.get(number, ""))
         room = (end - start) / len(values) * STRIP / LETTER - 2
-        text = next((text for text in (names.get(number, ""), str(number)) if 0 < len(text) <= room), "")
+        text = next((text for text in (name, str(number)) if 0 < len(text) <= room), "")
         middle = (start + end) / 2
         shade = shades[int(middle)]
         behind = {"facecolor": shade, "edgecolor": "none", "pad": 1.0}  # over the lines of change points

@@ -1,7 +1,9 @@
 """Colours, legends and files that all pictures share, without matplotlib's global state."""
 
 import io
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.patches import Patch
+from matplotlib.text import Text
 
 from dpmacro.utils.files import replacing
 
@@ -44,6 +47,27 @@ def shortened(text: str, letters: int) -> str:
     return f"{text[: letters - 1 - end]}…{text[-end:]}"
 
 
+def one_line(text: str) -> str:
+    """A name in a line, a space in place of characters that cannot be seen."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)
+
+
+@contextmanager
+def surviving(name: str) -> Iterator[None]:
+    """Whatever goes wrong with a picture in the block becomes a warning: what it shows is worth more.
+
+    Ctrl-C passes.
+    """
+    try:
+        yield
+    except Exception as error:
+        text = " ".join(str(error).split())
+        told = f"{type(error).__name__}: {text}" if text else type(error).__name__
+        warnings.warn(
+            f"the picture {name} could not be made ({told}); nothing else depends on it", stacklevel=3
+        )
+
+
 def ink_on(shade: Sequence[float] | np.ndarray) -> str:
     """A colour that can be read on `shade`, RGB in 0..1."""
     return "white" if np.dot(shade, (0.3, 0.59, 0.11)) < 0.55 else INK
@@ -58,12 +82,14 @@ def faded(
 
 def save(figure: Figure, path: Path) -> None:
     """Write `figure` in the format of the path's suffix (.png, .svg, .pdf), whole or not at all."""
+    _as_written(figure)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=DPI)
 
 
 def to_png(figure: Figure) -> bytes:
     """The file that `save` writes to a .png."""
+    _as_written(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI)
     return buffer.getvalue()
@@ -71,9 +97,16 @@ def to_png(figure: Figure) -> bytes:
 
 def to_image(figure: Figure) -> UInt8[np.ndarray, "height width 3"]:
     """The figure's pixels, as TensorBoard's `add_image(..., dataformats="HWC")` takes them."""
+    _as_written(figure)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _as_written(figure: Figure) -> None:
+    """Names are no formulas, whatever dollar signs they hold."""
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
 
 
 def bare(axis: Axes) -> None:
@@ -91,7 +124,7 @@ def plain(axis: Axes) -> None:
 
 def set_title(figure: Figure, title: str) -> None:
     """A title on the left above all."""
-    figure.suptitle(title, x=0.01, ha="left", fontsize=13, weight="bold", color=INK)
+    figure.suptitle(one_line(title), x=0.01, ha="left", fontsize=13, weight="bold", color=INK)
 
 
 def legend_height(names: Sequence[str], confidence: bool = False) -> float:
@@ -104,7 +137,7 @@ def legend(figure: Figure, colours: Sequence[str], names: Sequence[str], confide
     """What the colours mean, below all; where `confidence` shades them, what that means, too."""
     more = len(names) - NAMED
     handles: list = [Patch(color=colour) for colour in colours][:NAMED]
-    texts = list(names)[:NAMED]
+    texts = [one_line(name) for name in names[:NAMED]]
     if more > 0:
         handles.append(Patch(color="none"))
         texts.append(f"and {more} more")

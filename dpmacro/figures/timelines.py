@@ -32,6 +32,7 @@ from dpmacro.figures.style import (
     legend,
     legend_height,
     macro_colour,
+    one_line,
     set_title,
     shortened,
 )
@@ -103,7 +104,7 @@ def timeline(
     axes = figure.subplots(len(rows), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
     for axis, row in zip(axes, rows, strict=True):
         bare(axis)
-        text = shortened(row.name, LETTERS)
+        text = shortened(one_line(row.name), LETTERS)
         axis.set_ylabel(text, rotation=0, ha="right", va="center", color=INK, labelpad=8)
         row.draw(axis)
         axis.vlines(changes(labels), 0, 1, color="black", linewidth=1.6)

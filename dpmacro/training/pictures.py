@@ -1,5 +1,7 @@
 """What a training shows: pictures in TensorBoard and as PNG, and what left-out demonstrations said."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -28,7 +30,10 @@ SHOWN = 6  # restarts in the picture of the objective, the best ones
 
 
 class TrainingPictures:
-    """Puts pictures of a training into its TensorBoard and its folder of figures."""
+    """Puts pictures of a training into its TensorBoard and its folder of figures.
+
+    One that fails is a warning, and the others are made.
+    """
 
     def __init__(self, writer: SummaryWriter, folder: Path) -> None:
         self._writer = writer
@@ -36,8 +41,7 @@ class TrainingPictures:
 
     def add(self, name: str, figure: Figure) -> None:
         """Put one figure there."""
-        figures.save(figure, self._folder / f"{name}.png")
-        self._writer.add_image(f"figures/{name}", figures.to_image(figure), dataformats="HWC")
+        self._draw(name, lambda: figure)
 
     def show(
         self,
@@ -50,19 +54,17 @@ class TrainingPictures:
         truth, names = demonstrations.truth, (demonstrations.truth_name, demonstrations.truth_classes)
         lines = action_lines(demonstrations, labels) if demonstrations.vector else []
         title = f"Demonstration 0: {found.macros} macro-actions"
-        timeline = demonstration_timeline(demonstrations, 0, labels, sure, lines, title)
-        self.add("timeline", timeline)
-        self.add("objective", figures.curves(_loss_panels(found), "Objective per frame"))
-        title = "All demonstrations"
-        every = figures.timelines(labels, demonstrations.lengths, truth, title, *names, sure)
-        self.add("segmentation", every)
-        self.add("transitions", figures.transition_graph(labels, demonstrations.lengths))
+        self._draw("timeline", lambda: demonstration_timeline(demonstrations, 0, labels, sure, lines, title))
+        self._draw("objective", lambda: figures.curves(_loss_panels(found), "Objective per frame"))
+        every = labels, demonstrations.lengths, truth, "All demonstrations", *names, sure
+        self._draw("segmentation", lambda: figures.timelines(*every))
+        self._draw("transitions", lambda: figures.transition_graph(labels, demonstrations.lengths))
         if columns := chosen_columns(policy):
-            self.add("columns", figures.column_bars(columns, title="What stumps look at"))
+            self._draw("columns", lambda: figures.column_bars(columns, title="What stumps look at"))
         for camera, weights in chosen_pixels(policy).items():
             means = mean_images(demonstrations.observations[camera], labels, found.macros)
-            name = pixels_name(policy, camera)
-            self.add(name, figures.heat_maps(means, weights, title="Pixels that stumps look at"))
+            maps = means, weights, (), "Pixels that stumps look at"
+            self._draw(pixels_name(policy, camera), partial(figures.heat_maps, *maps))
         if demonstrations.vector:
             self._writer.add_text("accuracy", ACCURACY)
         self._candidates(found)
@@ -70,11 +72,17 @@ class TrainingPictures:
         for (source, target), share in zip(switches.pairs, switches.recognised.tolist(), strict=True):
             self._writer.add_scalar(f"switch/recognised_{source}_to_{target}", share)
 
+    def _draw(self, name: str, draw: Callable[[], Figure]) -> None:
+        with figures.surviving(name):
+            figure = draw()
+            figures.save(figure, self._folder / f"{name}.png")
+            self._writer.add_image(f"figures/{name}", figures.to_image(figure), dataformats="HWC")
+
     def _candidates(self, found: DPBoostResult) -> None:
         """The cost by bound of the final segmentation, and the scores of every candidate."""
         if found.final is not None and found.order == "free":  # a chain has one number of transitions
             cost, used = found.final.cost_by_bound.numpy(), found.final.max_transitions
-            self.add("elbow", figures.elbow(cost, used, "Left-out data"))
+            self._draw("elbow", lambda: figures.elbow(cost, used, "Left-out data"))
         if found.discovery is None:
             return
         for place, scores in enumerate(found.discovery.scores):

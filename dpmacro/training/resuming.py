@@ -7,7 +7,10 @@ anew; the policy and the segmentation are those of a run that nothing stopped, b
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,49 +19,54 @@ from torch import Tensor
 
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.training.options import TrainOptions
-from dpmacro.training.run_folder import RunFolder, plain_options
+from dpmacro.training.run_folder import RunFolder, dated_folder, plain_options
 from dpmacro.utils.stages import Stages
 
-__all__ = ["folder_of", "stages_of"]
+__all__ = ["check_unchanged", "kept_stages", "path_of"]
 
 SAMPLED = 97  # one frame of so many stands for all, of what was observed
 FREE = ("resume", "save_freq", "output_dir")  # options that change nothing of what is found
 
 
-def folder_of(options: TrainOptions) -> RunFolder | None:
-    """The run's folder, a new one or, with `resume`, that of the run to go on with; None where that is over.
+HOW = "--config_path=<run>/checkpoints/last/pretrained_model/train_config.json --resume=true"
 
-    Raises ValueError where there is nothing to go on with, or it has other options than these.
+
+def path_of(options: TrainOptions) -> Path:
+    """The run's folder: the one given, or a dated one.
+
+    Raises ValueError where a run is to go on and no folder is given, or none is there.
     """
-    if not options.resume:
-        if options.output_dir:
-            return RunFolder(options.output_dir)
-        return RunFolder.dated(options.job_name or options.planner.type)
-    how = "--config_path=<run>/checkpoints/last/pretrained_model/train_config.json --resume=true"
-    if options.output_dir is None:
-        raise ValueError(f"resume is true without a run to go on with: give {how}")
-    folder = RunFolder(options.output_dir, resume=True)
-    if folder.over:
-        return None
+    if options.resume and options.output_dir is None:
+        raise ValueError(f"resume is true without a run to go on with: give {HOW}")
+    path = options.output_dir or dated_folder(options.job_name or options.planner.type)
+    if options.resume and not path.is_dir():
+        raise ValueError(f"{path} is no folder: give that of the run that is to go on, by {HOW}")
+    return path
+
+
+def check_unchanged(options: TrainOptions, folder: RunFolder) -> None:
+    """Raise ValueError unless the run that goes on was begun in this folder, and with these options."""
     if not folder.begun.exists():
-        raise ValueError(f"{folder.path} holds no run to go on with: give {how}, or leave resume out")
-    known, given = json.loads(folder.begun.read_text()), plain_options(options)
-    for name, value in sorted(_flat(given).items()):
-        if name not in FREE and value != (before := _flat(known).get(name)):
+        raise ValueError(f"{folder.path} holds no run to go on with: give {HOW}, or leave resume out")
+    before = _flat(json.loads(folder.begun.read_text()))
+    for name, value in sorted(_flat(plain_options(options)).items()):
+        if name not in FREE and value != before.get(name):
             raise ValueError(
-                f"{name} is {value}, and {folder.path} was begun with {before}: give {how} alone, or begin "
-                "anew in another --output_dir"
+                f"{name} is {value}, and {folder.path} was begun with {before.get(name)}: give {HOW} alone, "
+                "or begin anew in another --output_dir"
             )
-    return folder
 
 
-def stages_of(
+@contextmanager
+def kept_stages(
     folder: RunFolder,
     options: TrainOptions,
     demonstrations: Demonstrations,
     given: Int64[Tensor, " frames"] | None,
-) -> Stages:
-    """Where the run keeps its stages; to be entered for all of it. Begins the run unless that was done.
+) -> Iterator[None]:
+    """Keep the stages of the block, in which the run is; begins the run unless that was done.
+
+    A run that ends before anything is found leaves nothing.
 
     Raises ValueError where the run was begun with other demonstrations, or other labels of them.
     """
@@ -71,7 +79,13 @@ def stages_of(
             )
     else:
         folder.begin(plain_options(replace(options, output_dir=folder.path, resume=False)), data)
-    return Stages(folder.stages, options.save_freq)
+    try:
+        with Stages(folder.stages, options.save_freq):
+            yield
+    except BaseException:
+        if not any(folder.stages.iterdir()):
+            folder.forget()
+        raise
 
 
 def _flat(options: dict[str, Any], above: str = "") -> dict[str, Any]:

@@ -9,6 +9,8 @@
 import json
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -19,22 +21,32 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from dpmacro.policy.policy import MacroPolicy
+from dpmacro.utils.claims import CLAIM, claimed
 from dpmacro.utils.files import replacing
 
-__all__ = ["RunFolder", "plain_options"]
+__all__ = ["RunFolder", "dated_folder", "plain_options"]
+
+OWN = ("tensorboard", "checkpoints")  # what a run puts into its folder before anything is found
+
+
+def dated_folder(job_name: str) -> Path:
+    """outputs/train/<date>/<time>_<job>."""
+    return Path("outputs/train") / f"{datetime.now():%Y-%m-%d/%H-%M-%S}_{job_name}"
 
 
 class RunFolder:
-    """Where a run writes; refuses a folder that already holds one, unless it is to go on there.
+    """Where a run writes; refuses a folder that already holds one, unless the run goes on.
 
-    Raises ValueError where `path` exists and is not empty, or, with `resume`, does not exist.
+    Args:
+        path: the folder.
+        resume: whether a run goes on that is there.
+
+    Raises ValueError where `path` exists and is not empty, but for `resume`; where it is a file.
     """
 
     def __init__(self, path: Path, resume: bool = False) -> None:
-        if resume and not path.is_dir():
-            raise ValueError(f"{path} is no folder: give that of the run that is to go on")
         self.path = path
-        if not resume and path.exists() and (not path.is_dir() or any(path.iterdir())):
+        if path.exists() and (not path.is_dir() or (not resume and _contents(path))):
             going_on = f", go on with it by {self.going_on}" if self.begun.exists() else ""
             raise ValueError(f"{path} exists: choose another --output_dir{going_on}, or remove it")
 
@@ -45,9 +57,19 @@ class RunFolder:
         return cls(path, resume=True)
 
     @classmethod
-    def dated(cls, job_name: str) -> "RunFolder":
-        """outputs/train/<date>/<time>_<job>."""
-        return cls(Path("outputs/train") / f"{datetime.now():%Y-%m-%d/%H-%M-%S}_{job_name}")
+    @contextmanager
+    def claimed(cls, path: Path, resume: bool = False) -> Iterator["RunFolder"]:
+        """The same for a run that alone writes to the folder until the block is left.
+
+        Raises ValueError where another process writes to the folder.
+        """
+        with claimed(path):
+            yield cls(path, resume)
+
+    @property
+    def last(self) -> Path:
+        """The folder of the newest policy."""
+        return self.path / "checkpoints" / "last" / "pretrained_model"
 
     @property
     def tensorboard(self) -> Path:
@@ -62,8 +84,7 @@ class RunFolder:
     @property
     def going_on(self) -> str:
         """The options of train.py by which such a run goes on."""
-        last = self.path / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
-        return f"--config_path={last} --resume=true"
+        return f"--config_path={self.last / 'train_config.json'} --resume=true"
 
     @property
     def stages(self) -> Path:
@@ -78,19 +99,31 @@ class RunFolder:
     @property
     def over(self) -> bool:
         """Whether a run has ended here."""
-        policy = self.path / "checkpoints" / "last" / "pretrained_model" / "model.safetensors"
-        return policy.exists() and not self.begun.exists()
+        return (self.last / "model.safetensors").exists() and not self.begun.exists()
 
     @property
     def figures(self) -> Path:
         """Where pictures go."""
         return self.path / "figures"
 
+    def saved(self) -> str:
+        """What is safe where a run ends early, in words."""
+        if (self.last / "model.safetensors").exists():
+            return f"the policy is safe in {self.last}"
+        if self.begun.exists():
+            return f"what was found so far is safe: train.py {self.going_on} goes on"
+        return "no policy is saved yet"
+
     def begin(self, options: dict[str, Any], data_digest: str) -> None:
         """Write down what a run begins with, so that it can go on if it is stopped."""
         _write_json(self._data, {"sha256": data_digest})
         _write_json(self.begun, options)
         self._link(self._unfinished)
+
+    def forget(self) -> None:
+        """Remove what a run has left that ends before anything is found."""
+        for name in OWN:
+            shutil.rmtree(self.path / name, ignore_errors=True)
 
     def end(self) -> None:
         """Remove what was kept to go on with: the run is over."""
@@ -132,6 +165,10 @@ class RunFolder:
         link.symlink_to(folder.name)
         link.replace(last)
         return last
+
+
+def _contents(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if path.name != CLAIM]
 
 
 def _write_json(path: Path, values: dict[str, Any]) -> None:

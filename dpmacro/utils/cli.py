@@ -8,35 +8,55 @@ field in `OTHERS` takes options of any name as well. A field that ends in an und
 import difflib
 import inspect
 import re
+import signal
 import sys
-import warnings
 from argparse import ArgumentParser as Argparse
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import Field, fields, replace
 from pathlib import Path
-from typing import Any, NoReturn, TextIO, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from draccus import cfgparsing
 from draccus.argparsing import ArgumentParser
 from draccus.parsers.decoding import decode
 from draccus.utils import DecodingError, DraccusException
 from draccus.wrappers.docstring import get_attribute_docstring
-from tqdm import tqdm
 from yaml import YAMLError
 
+from dpmacro.utils import interrupts, starting
+from dpmacro.utils.lines import in_a_line, say, threads_in_a_line, warnings_in_a_line
+from dpmacro.utils.option_files import (
+    OTHERS,
+    check_known,
+    paths_as_text,
+    refuse_groups_beside_options,
+)
+from dpmacro.utils.starting import INTERRUPTED
+
+__all__ = ["hold", "parse", "run", "sentence_of"]
+
 Config = TypeVar("Config")
+Result = TypeVar("Result")
 
 USAGE_ERROR = 2
-INTERRUPTED = 130
-OTHERS = "OTHERS"  # of a group of options
+SIGNALLED = 128  # and the number of a signal: the exit status of a process that it ended
 EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
-PACKAGE = Path(__file__).resolve().parents[1]
+UNFIT = re.compile(r"`(?P<name>[^`]*)`: Failed when parsing value='?(?P<value>.*?)'? into field ", re.DOTALL)
 BARE_LIST = re.compile(r"input for a list type|Expected \d+ items|has no len\(\)")
+
+
+class _PathError(ValueError):
+    """A path that cannot be one."""
 
 
 def _path(value: Any, path: Sequence[str] = ()) -> Path:
     """A path, also one that reads like a number or a date; a shell leaves the ~ of --root=~/x to us."""
+    name = ".".join(path)
+    if isinstance(value, bool | list | dict):
+        raise _PathError(f"{name} is {value}: give a path")
+    if str(value) == "":
+        raise _PathError(f"{name} is empty: give a path, like ./ for this folder, or leave it out")
     return Path(str(value)).expanduser()
 
 
@@ -58,12 +78,14 @@ def parse(config_class: type[Config], arguments: Sequence[str] | None = None) ->
         raise ValueError(_with_suggestion(message, parser))
 
     parser.parser.error = fail
-    _check_readable(arguments)
+    refuse_groups_beside_options(arguments, config_class)
+    arguments = paths_as_text(arguments, config_class)
+    file = _check_readable(arguments, config_class)
     arguments, others = _apart(arguments, config_class, parser)
     try:
         return _with_others(parser.parse_args(arguments), others)
     except (DraccusException, DecodingError) as error:
-        raise ValueError(_root_message(error)) from error
+        raise ValueError(_root_message(error, arguments, file)) from error
 
 
 def sentence_of(config_class: type, option: Field) -> dict[str, Any]:
@@ -75,43 +97,44 @@ def run(main: Callable[[Config], None], config_class: type[Config]) -> None:
     """Parse the options, call `main`, and turn a user's mistake into one line and exit status 2.
 
     A mistake is a ValueError or an OSError; anything else is a bug and keeps its traceback. A UserWarning or
-    RuntimeWarning of this package, or of `main`'s own file, becomes one line as well.
+    RuntimeWarning of this package, or of `main`'s own file, becomes one line as well. Ctrl-C, and signals
+    that end a process, unwind `main` and become a line and the exit status that shells give.
     """
     try:
-        with _warnings_in_a_line(inspect.getfile(main)):
-            main(parse(config_class))
+        with interrupts.terminating(), warnings_in_a_line(inspect.getfile(main)), threads_in_a_line():
+            if signal.getsignal(signal.SIGINT) is starting.end:
+                signal.signal(signal.SIGINT, signal.default_int_handler)
+            with _holding():
+                main(parse(config_class))
     except (ValueError, OSError) as error:
-        line = " ".join(str(error).split())
-        print(f"error: {line}", file=sys.stderr)
+        say(f"error: {in_a_line(error)}")
         sys.exit(USAGE_ERROR)
+    except interrupts.Terminated as error:
+        say(f"ended by {error}")
+        sys.exit(SIGNALLED + error.number)
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        say("interrupted")
         sys.exit(INTERRUPTED)
 
 
+def hold(context: AbstractContextManager[Result]) -> Result:
+    """Enter a context that `run` leaves after its `main`, whatever ends that."""
+    if not _held:
+        raise RuntimeError("nothing is run: call this within the `main` that is given to `run`")
+    return _held[-1].enter_context(context)
+
+
+_held: list[ExitStack] = []
+
+
 @contextmanager
-def _warnings_in_a_line(script: str) -> Iterator[None]:
-    """A warning that the package or the script raises is a line on stderr; others stay as they are."""
-    with warnings.catch_warnings():
-        show_others = warnings.showwarning
-
-        def show(
-            message: Warning | str,
-            category: type[Warning],
-            filename: str,
-            lineno: int,
-            file: TextIO | None = None,
-            line: str | None = None,
-        ) -> None:
-            own = filename == script or PACKAGE in Path(filename).resolve().parents
-            if own and issubclass(category, (UserWarning, RuntimeWarning)):
-                # Progress bars are cleared for the line and drawn again below it.
-                tqdm.write(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
-            else:
-                show_others(message, category, filename, lineno, file, line)
-
-        warnings.showwarning = show
-        yield
+def _holding() -> Iterator[None]:
+    with ExitStack() as stack:
+        _held.append(stack)
+        try:
+            yield
+        finally:
+            _held.remove(stack)
 
 
 def _drop_underscores(parser: ArgumentParser) -> None:
@@ -164,8 +187,12 @@ def _with_others(config: Config, others: dict[str, dict[str, Any]]) -> Config:
     return made
 
 
-def _check_readable(arguments: Sequence[str]) -> None:
-    """Raise ValueError for a value, or a file of options, that is not written as YAML or JSON is."""
+def _check_readable(arguments: Sequence[str], config_class: type) -> str | None:
+    """The path of a file of options, if one is given.
+
+    Raises ValueError for a value, or a file of options, that is not written as YAML or JSON is, and for a
+    file that holds what is no option.
+    """
     for argument in arguments:
         value = argument.partition("=")[2] if argument.startswith("--") else argument
         try:
@@ -179,7 +206,7 @@ def _check_readable(arguments: Sequence[str]) -> None:
     files.add_argument("--config_path", nargs="?")
     path = files.parse_known_args(arguments)[0].config_path
     if path is None:
-        return
+        return None
     try:
         with Path(path).open() as file:
             found = cfgparsing.load_config(file, file=path)
@@ -191,6 +218,8 @@ def _check_readable(arguments: Sequence[str]) -> None:
         raise ValueError(
             f"--config_path={path} holds a {type(found).__name__}, no options: give a run's train_config.json"
         )
+    check_known(config_class, found, path)
+    return path
 
 
 def _problem(error: BaseException) -> str:
@@ -200,16 +229,28 @@ def _problem(error: BaseException) -> str:
     return str(getattr(error, "problem", None) or error)
 
 
-def _root_message(error: BaseException) -> str:
-    """The message of the ValueError that a dataclass raised, where draccus wrapped one up."""
+def _root_message(error: BaseException, arguments: Sequence[str], file: str | None) -> str:
+    """The message of the ValueError that a dataclass raised, where draccus wrapped one up.
+
+    Of a value that cannot be read the option and, where no argument gives it, the file.
+    """
     if BARE_LIST.search(str(error)):
         return f"{str(error).strip()}; write it in brackets, like '[0,1,2]'"
-    cause: BaseException | None = None if isinstance(error, DecodingError) else error
+    cause: BaseException | None = error
     while cause is not None:
-        if isinstance(cause, ValueError) and not isinstance(cause, DraccusException):
+        own = not isinstance(cause, DraccusException | DecodingError)
+        if isinstance(cause, _PathError) or (
+            isinstance(cause, ValueError) and own and not isinstance(error, DecodingError)
+        ):
             return str(cause)
         cause = cause.__cause__ or cause.__context__
-    return str(error)
+    message = str(error)
+    if found := UNFIT.match(message):
+        message = f"`{found['name']}`: {found['value']} is nothing that it can be, see --help"
+    name = message.partition("`")[2].partition("`")[0]
+    if file is not None and name and not any(one.startswith(f"--{name}") for one in arguments):
+        message = f"--config_path={file}: {message}"
+    return message
 
 
 def _with_suggestion(message: str, parser: ArgumentParser) -> str:

@@ -1,4 +1,7 @@
-"""Work spread over processes: results in order, Ctrl-C left to the parent, no worker that outlives it."""
+"""Work spread over processes: results in order, Ctrl-C left to the parent, no worker that outlives it.
+
+A worker that is told to end (SIGTERM) ends at once, and its temporary files go.
+"""
 
 import itertools
 import multiprocessing
@@ -6,10 +9,14 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
 from multiprocessing.synchronize import Event
+from types import FrameType
 from typing import Any, TypeVar
+
+from dpmacro.utils import temporary
 
 __all__ = ["spread", "stopped"]
 
@@ -48,17 +55,34 @@ def _spread(
     stop = context.Event()
     pool = ProcessPoolExecutor(workers, context, _start_worker, (stop,))
     waiting = iter(items)
-    pending: deque[Future[Any]] = deque(
-        pool.submit(task, item) for item in itertools.islice(waiting, AHEAD * workers)
-    )
+    pending: deque[Future[Any]] = deque()
+
+    def submit(most: int) -> None:
+        with _deaf_to_interrupts():
+            pending.extend(pool.submit(task, item) for item in itertools.islice(waiting, most))
+
     try:
+        submit(AHEAD * workers)
         while pending:
             result = pending.popleft().result()
-            pending.extend(pool.submit(task, item) for item in itertools.islice(waiting, 1))
+            submit(1)
             yield result
     finally:
         stop.set()
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes that start in the block get no Ctrl-C before `_start_worker`; here it acts afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _stop: Event | None = None
@@ -68,11 +92,20 @@ def _start_worker(stop: Event) -> None:
     global _stop
     _stop = stop
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+    signal.signal(signal.SIGTERM, _end)
     parent = multiprocessing.parent_process()
     assert parent is not None
 
     def end() -> None:
         parent.join()
+        temporary.remove_all()
         os._exit(1)
 
     threading.Thread(target=end, daemon=True).start()
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    temporary.remove_all()
+    os._exit(128 + number)

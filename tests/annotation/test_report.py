@@ -130,3 +130,30 @@ def test_scores_stand_in_columns():
     assert lines[0].split("   ")[-1].strip() == "random cuts" and len({len(line) for line in lines}) == 1
     assert lines[1].startswith("frames that agree") and lines[1].split()[3] == "1.000"
     assert lines[-1].split() == ["true", "segments", "6", "6", "6"]
+
+
+def test_a_picture_that_fails_is_a_line_and_the_report_is_whole(tmp_path, monkeypatch):
+    def fails(*given):
+        raise RuntimeError("no fonts")
+
+    summary = some_summary()
+    monkeypatch.setattr("dpmacro.figures.elbow", fails)
+    with pytest.warns(UserWarning, match="the picture number . could not be made .*no fonts"):
+        write_report(summary, pictures(summary, 0), tmp_path)
+    assert {path.stem for path in (tmp_path / "figures").iterdir()} == NAMES - {"elbow"}
+    monkeypatch.setattr("dpmacro.figures.to_image", fails)
+    with pytest.warns(UserWarning, match="the picture segmentation could not be made"):
+        write_report(summary, pictures(summary, 0), tmp_path / "again")
+    assert (tmp_path / "again/segmentation.json").exists()
+
+
+def test_what_says_that_a_report_is_complete_is_written_last(tmp_path, monkeypatch):
+    def killed(*given):
+        assert not (tmp_path / "segmentation.json").exists()
+        raise KeyboardInterrupt
+
+    summary = some_summary()
+    monkeypatch.setattr("dpmacro.annotation.report.write_page", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_report(summary, iter(()), tmp_path)
+    assert not (tmp_path / "segmentation.json").exists()

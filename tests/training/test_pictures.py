@@ -39,3 +39,20 @@ def test_a_training_on_vectors_shows_pictures_and_says_what_accuracy_is(
     assert {f"figures/{name}" for name in shown} == set(events.Tags()["images"])
     (text,) = events.Tensors("accuracy/text_summary")
     assert b"share of their variance that is explained" in text.tensor_proto.string_val[0]
+
+
+def test_a_picture_that_fails_is_a_line_and_the_others_are_made(tmp_path, monkeypatch):
+    def fails(*given):
+        raise RuntimeError("no fonts")
+
+    monkeypatch.setattr(figures, "timelines", fails)
+    policy, found = train(vectors_with_a_rule(), rounds=5, restarts=2, switch_rounds=2, switch_weight=0.0)
+    with SummaryWriter(str(tmp_path)) as writer:
+        with pytest.warns(
+            UserWarning, match=r"the picture segmentation could not .*no fonts.*; nothing else depends on it"
+        ):
+            TrainingPictures(writer, tmp_path).show(vectors_with_a_rule(), policy, found)
+        with pytest.warns(UserWarning, match="the picture selection could not"):
+            TrainingPictures(writer, tmp_path).add("selection", None)
+    names = {path.stem for path in tmp_path.glob("*.png")}
+    assert {"timeline", "objective", "transitions"} <= names and "segmentation" not in names

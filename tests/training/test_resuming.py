@@ -72,7 +72,7 @@ def test_a_training_that_was_killed_three_times_ends_as_if_nothing_had(
     assert found(run) == found(undisturbed)
     assert sorted(one.name for one in (run / "checkpoints").iterdir()) == ["000004", "last"]
     call(monkeypatch, *going_on(run))
-    assert f"{run} is over: its policy is in checkpoints/last" in capsys.readouterr().out
+    assert f"{run} is over: its policy is in {run / LAST}" in capsys.readouterr().out
 
 
 def test_options_of_a_run_are_kept_but_for_what_changes_nothing(undisturbed):
@@ -111,13 +111,21 @@ def refused(capsys, monkeypatch, *arguments):
 
 def test_what_is_interrupted_says_how_it_goes_on(stopped, tmp_path, monkeypatch, capsys):
     how = " ".join(going_on(stopped))
-    assert f"{stopped} is not over: go on by {how}" in (tmp_path / "told").read_text()
+    assert f"what was found so far is safe: train.py {how} goes on" in (tmp_path / "told").read_text()
     again = [f"--dataset.root={tmp_path / 'data'}", f"--output_dir={stopped}", *OPTIONS]
     assert f"exists: choose another --output_dir, go on with it by {how}" in refused(
         capsys, monkeypatch, *again
     )
     call(monkeypatch, *going_on(stopped))
     assert (stopped / LAST / "model.safetensors").exists()
+
+
+def test_a_mistake_that_is_seen_before_anything_is_found_leaves_nothing(
+    recorded, tmp_path, monkeypatch, capsys
+):
+    given = [f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *OPTIONS]
+    assert "planner.macros is 9999" in refused(capsys, monkeypatch, *given, "--planner.macros=9999")
+    assert not (tmp_path / "run").exists()
 
 
 def test_what_cannot_go_on_is_told_in_a_line(stopped, tmp_path, monkeypatch, capsys):

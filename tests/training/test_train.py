@@ -1,5 +1,6 @@
 """train.py: from a dataset to a run folder, and one line for every mistake."""
 
+import errno
 import importlib
 import json
 import re
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file
 
 import train
@@ -472,3 +474,49 @@ def test_the_process_itself_exits_with_status_2_and_one_line():
 def test_lengths_are_counted_per_demonstration(trained):
     lengths = load_file(trained / "checkpoints/last/training_state/segmentation.safetensors")["lengths"]
     assert np.array_equal(lengths.numpy(), [12, 7, 2, 9])
+
+
+def told(capsys):
+    """The line of an error, below progress bars."""
+    return capsys.readouterr().err.replace("\r", "\n").strip().splitlines()[-1]
+
+
+def test_a_second_training_is_refused_before_it_reads_anything(recorded, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(train, "read_demonstrations", lambda *given: pytest.fail("read"))
+    with RunFolder.claimed(tmp_path / "run"), pytest.raises(SystemExit) as stop:
+        call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}")
+    assert stop.value.code == 2
+    assert re.fullmatch(
+        rf"error: --output_dir={tmp_path}/run: process \d+ on .* writes to it; .*", told(capsys)
+    )
+
+
+def test_a_full_disk_at_a_checkpoint_says_what_is_not_saved(recorded, tmp_path, monkeypatch, capsys):
+    def full(*given):
+        raise SafetensorError("Error while serializing: I/O error: No space left on device (os error 28)")
+
+    monkeypatch.setattr("dpmacro.training.run_folder.save_file", full)
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *TINY)
+    place = "checkpoints/000004/training_state/segmentation.safetensors: cannot be written (No space left"
+    line = told(capsys)
+    assert (
+        stop.value.code == 2 and place in line and "no policy is saved yet; free some space or give" in line
+    )
+    assert not (tmp_path / "run/checkpoints/last").exists()
+
+
+def test_a_full_disk_after_the_policy_leaves_it_and_the_report(recorded, tmp_path, monkeypatch, capsys):
+    def full(*given, **options):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("dpmacro.figures.style.Figure.savefig", full)
+    monkeypatch.setattr(train, "write_row", full)
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *TINY)
+    out, err = capsys.readouterr()
+    assert stop.value.code == 2 and "objective " in out and "frames agree" in out
+    last = f"{tmp_path}/run/checkpoints/last/pretrained_model"
+    warned = f"warning: the picture timeline could not be made (OSError: [Errno {errno.ENOSPC}]"
+    assert warned in err and f"; the policy is safe in {last}; free some space" in err
+    assert MacroPolicy.load(Path(last)).config.macros == 2

@@ -1,13 +1,17 @@
 """The scripts' front door: LeRobot-style options in, one line and status 2 for a mistake."""
 
+import errno
 import json
 import sys
+import threading
 import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
+from tqdm import tqdm
 
 from dpmacro.utils import cli
 
@@ -59,14 +63,19 @@ def test_options_come_as_lerobot_has_them(tmp_path):
         ("--many=[0", "--many=[0 cannot be read (expected ',' or ']'"),
         ("--many=0,1", "write it in brackets, like '[0,1,2]'"),
         ("--name=a: b: c", "--name=a: b: c cannot be read (mapping values are not allowed here)"),
-        ("--folder=@x", "--folder=@x cannot be read"),
+        ("--folder=", "folder is empty: give a path"),
+        ("--inner=3", "`inner`: 3 is nothing that it can be"),
+        (
+            "--inner={}|--inner.count=1",
+            "--inner is given beside --inner.count: give the options of inner one",
+        ),
         ("--name=2024-13-45", "--name=2024-13-45 cannot be read (month must be in 1..12)"),
         ("--inner.size=3,4", "write it in brackets"),
         ("--inner.size=3", "write it in brackets"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(monkeypatch, capsys, argument, message):
-    monkeypatch.setattr(sys, "argv", ["script.py", argument])
+    monkeypatch.setattr(sys, "argv", ["script.py", *argument.split("|")])
     with pytest.raises(SystemExit) as stop:
         cli.run(lambda options: None, Options)
     error = capsys.readouterr().err
@@ -96,15 +105,101 @@ def test_a_folder_may_begin_at_home(monkeypatch):
     assert cli.parse(Options, ["--folder=~/runs"]).folder == Path("/home/she/runs")
     with pytest.raises(OSError, match=r"/home/she/none\.json"):
         cli.parse(Options, ["--config_path=~/none.json"])
-
-
-@pytest.mark.parametrize("name", ["2024", "2024-11-23", "1.5"])
-def test_a_folder_may_look_like_a_number(name):
-    assert cli.parse(Options, [f"--folder={name}"]).folder == Path(name)
+    assert cli.parse(Options, ["--folder=~"]).folder == Path("/home/she")
 
 
 @pytest.mark.parametrize(
-    ("error", "status"), [(ValueError("a\n  b"), 2), (FileNotFoundError("c"), 2), (KeyboardInterrupt(), 130)]
+    "name", ["2024", "2024-11-23", "1.50", "007", "1_000", "true", "[1]", "@x", "a: b", "é"]
+)
+def test_a_folder_may_look_like_something_else(name):
+    assert cli.parse(Options, [f"--folder={name}"]).folder == Path(name)
+    assert cli.parse(Options, ["--folder", name, "--fast=true"]) == Options(folder=Path(name), fast=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"inner": {"cont": 3}}, "holds inner.cont, which is no option: did you mean inner.count?"),
+        ({"zzz": 3}, "holds zzz, which is no option: remove it; there are inner, name, fast, many, folder"),
+        ({"inner": {"count": "x"}}, ": `inner.count`: Couldn't parse 'x' into an int"),
+        ({"folder": ""}, "folder is empty: give a path"),
+        ({"folder": True}, "folder is True: give a path"),
+        ({"inner": 3}, ": `inner`: 3 is nothing that it can be, see --help"),
+    ],
+)
+def test_a_mistake_in_a_file_names_the_file_or_the_option(tmp_path, options, message):
+    (tmp_path / "o.json").write_text(json.dumps(options))
+    with pytest.raises(ValueError) as error:
+        cli.parse(Options, [f"--config_path={tmp_path / 'o.json'}"])
+    told = str(error.value)
+    assert message in told and "\n" not in told
+    assert f"--config_path={tmp_path / 'o.json'}" in told or message.startswith("folder")
+
+
+def test_a_file_with_an_option_of_any_name_says_where_those_go(tmp_path):
+    (tmp_path / "o.json").write_text('{"room": {"fog": 1}}')
+    with pytest.raises(ValueError, match=r"holds room.fog, which is no option: give it within room.options"):
+        cli.parse(House, [f"--config_path={tmp_path / 'o.json'}"])
+    (tmp_path / "o.json").write_text('{"room": {"options": {"fog": 1}}}')
+    assert cli.parse(House, [f"--config_path={tmp_path / 'o.json'}"]).room == Room(options={"fog": 1})
+
+
+def test_what_is_held_is_left_when_main_ends(monkeypatch):
+    left = []
+
+    @contextmanager
+    def held():
+        try:
+            yield 5
+        finally:
+            left.append("left")
+
+    def main(options):
+        assert cli.hold(held()) == 5 and not left
+        raise KeyError("bug")
+
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    with pytest.raises(KeyError):
+        cli.run(main, Options)
+    assert left == ["left"]
+    with pytest.raises(RuntimeError, match="call this within the `main`"):
+        cli.hold(held())
+
+
+@pytest.mark.parametrize("place", ["run/model.safetensors", None])
+def test_a_full_disk_is_a_line_with_the_file_and_a_remedy(monkeypatch, capsys, place):
+    def main(options):
+        raise OSError(errno.ENOSPC, "No space left on device", place)
+
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    with pytest.raises(SystemExit) as stop:
+        cli.run(main, Options)
+    told = "cannot be written (No space left on device); free some space there and run it again"
+    assert stop.value.code == 2 and capsys.readouterr().err == f"error: {place or 'a file'}: {told}\n"
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES])
+def test_a_thread_that_finds_the_disk_full_says_so_in_a_line(monkeypatch, capsys, number):
+    def fails():
+        raise OSError(number, "no room")
+
+    def main(options):
+        thread = threading.Thread(target=fails)
+        thread.start()
+        thread.join()
+
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    monkeypatch.setattr(threading, "excepthook", lambda given: print("others", file=sys.stderr))
+    cli.run(main, Options)
+    told = (
+        "warning: TensorBoard's events: cannot be written (no room); free some space there and run it again"
+    )
+    assert capsys.readouterr().err == (f"{told}\n" if number == errno.ENOSPC else "others\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [(ValueError("a\n  b\x1b\ud800"), 2), (FileNotFoundError("c"), 2), (KeyboardInterrupt(), 130)],
 )
 def test_what_main_raises_becomes_one_line(monkeypatch, capsys, error, status):
     def main(options):
@@ -115,6 +210,29 @@ def test_what_main_raises_becomes_one_line(monkeypatch, capsys, error, status):
         cli.run(main, Options)
     assert stop.value.code == status
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_an_error_has_a_line_of_its_own_though_a_progress_bar_is_open(monkeypatch, capsys):
+    def main(options):
+        bars.append(tqdm(total=5))
+        bars[0].update()
+        raise ValueError("no more")
+
+    bars = []
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    with pytest.raises(SystemExit):
+        cli.run(main, Options)
+    error = capsys.readouterr().err
+    bars[0].close()
+    assert "error: no more" in error.replace("\r", "\n").splitlines()
+
+
+def test_a_long_value_is_shortened_in_the_line(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["script.py", f"--name={'9' * 5000}"])
+    with pytest.raises(SystemExit):
+        cli.run(lambda options: None, Options)
+    error = capsys.readouterr().err
+    assert error.startswith("error: --name=999") and "…999" in error and len(error) < 800
 
 
 def test_a_bug_keeps_its_traceback(monkeypatch):

@@ -38,6 +38,29 @@ def test_blocks_may_be_nested():
     assert done
 
 
+def test_a_signal_that_ends_is_held_back_and_raised_likewise():
+    before = signal.getsignal(signal.SIGTERM)
+    done = []
+    with pytest.raises(KeyboardInterrupt) as caught, interrupts.terminating():
+        with interrupts.held_back():
+            os.kill(os.getpid(), signal.SIGTERM)
+            done.append("all of it")
+        done.append("not reached")
+    assert done == ["all of it"] and caught.value.number == signal.SIGTERM and str(caught.value) == "SIGTERM"
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_signal_that_something_else_handles_is_left_to_it():
+    told = []
+    before = signal.signal(signal.SIGTERM, lambda number, frame: told.append(number))
+    try:
+        with interrupts.terminating():
+            os.kill(os.getpid(), signal.SIGTERM)
+        assert told == [signal.SIGTERM]
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def test_other_threads_pass_through():
     def hold():
         with interrupts.held_back():

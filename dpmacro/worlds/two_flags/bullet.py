@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from dpmacro.utils.temporary import temporary_folder
+
 
 @contextmanager
 def _silent_stderr() -> Iterator[None]:
@@ -34,25 +36,43 @@ with _silent_stderr():
 __all__ = ["load_egl", "load_mesh", "load_textures", "pybullet"]
 
 
+@contextmanager
+def _folder() -> Iterator[Path]:
+    """A temporary folder; ValueError, one line, where its files cannot be written."""
+    try:
+        with temporary_folder() as folder:
+            yield folder
+    except OSError as error:
+        place = tempfile.tempdir or "the folder for temporary files"
+        raise ValueError(
+            f"PyBullet takes textures and meshes from files, and none can be written in {place} "
+            f"({error.strerror or error}): free some space there, or give another folder by TMPDIR=<folder>"
+        ) from error
+
+
 def load_textures(pictures: list[UInt8[np.ndarray, "size size 3"]], client: int) -> list[int]:
-    """Load RGB pictures into `client` and return their texture ids; no file is left behind."""
-    with tempfile.TemporaryDirectory() as folder:
+    """Load RGB pictures into `client` and return their texture ids; no file is left behind.
+
+    Raises ValueError where there is no room for temporary files.
+    """
+    with _folder() as folder:
         loaded = []
         for number, picture in enumerate(pictures):
             # PyBullet remembers a texture by its path, so every one needs its own.
-            path = str(Path(folder) / f"{number}.png")
-            cv2.imwrite(path, picture[..., ::-1])
-            loaded.append(pybullet.loadTexture(path, physicsClientId=client))
+            path = folder / f"{number}.png"
+            path.write_bytes(cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+            loaded.append(pybullet.loadTexture(str(path), physicsClientId=client))
     return loaded
 
 
 def load_mesh(obj: str, colour: tuple[float, ...], client: int) -> int:
     """Load a mesh in Wavefront's OBJ format, RGBA `colour`, into `client`; return its visual shape id.
 
-    PyBullet also takes vertices from memory, but its EGL plugin does not draw those.
+    PyBullet also takes vertices from memory, but its EGL plugin does not draw those. Raises ValueError where
+    there is no room for temporary files.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "mesh.obj"
+    with _folder() as folder:
+        path = folder / "mesh.obj"
         path.write_text(obj)
         return pybullet.createVisualShape(
             pybullet.GEOM_MESH, fileName=str(path), rgbaColor=colour, physicsClientId=client

@@ -1,6 +1,8 @@
 """PyBullet as the worlds need it: quiet, with numpy, leaving nothing behind."""
 
 import importlib.util
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -46,3 +48,30 @@ def test_a_missing_egl_plugin_is_reported(client, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"renderer is 'egl'.*choose 'tiny'"):
         load_egl(client)
+
+
+def test_no_room_for_temporary_files_is_one_line(client, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (16, before[1]))
+    try:
+        told = rf"none can be written in {tmp_path} \(File too large\): free some space there, or .*TMPDIR"
+        with pytest.raises(ValueError, match=told):
+            load_textures([np.zeros((8, 8, 3), np.uint8)], client)
+        with pytest.raises(ValueError, match=told):
+            load_mesh(TRIANGLE, (1.0, 1.0, 1.0, 1.0), client)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_place_for_temporary_files_is_one_line(client, monkeypatch):
+    def nowhere(*given, **options):
+        raise FileNotFoundError(2, "No usable temporary directory found in ['/a']")
+
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(tempfile, "_get_default_tempdir", nowhere)
+    with pytest.raises(ValueError, match=r"\(No usable temporary directory found.*\): free some space"):
+        load_textures([np.zeros((8, 8, 3), np.uint8)], client)
