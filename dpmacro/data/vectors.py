@@ -183,8 +183,8 @@ class ActionTransform:
             as_text(f"names[{place}]", own)
         if nearness is not None:
             as_number("nearness", nearness, least=0.0)
-        lists = (tuple(own) for own in (mean, scale, kept))
-        return cls(*lists, as_flag("relative", relative), tuple(fixed), tuple(names), nearness)
+        as_flag("relative", relative)
+        return cls(tuple(mean), tuple(scale), tuple(kept), relative, tuple(fixed), tuple(names), nearness)
 
     def _stated(self, state: Any) -> Any:
         if state is None or state.shape[1] != len(self.mean):

@@ -5,7 +5,8 @@ frames of a year ago: silently it would look at others, or fill memory.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -129,4 +130,9 @@ def _check_task(part: Task, shape: tuple[int, ...]) -> None:
     check_tensor("tasks", part.tasks, (torch.int64,), None)
 
 
-_CHECKS = {Rectangles: _check_rectangles, Pixels: _check_pixels, State: _check_state, Task: _check_task}
+_CHECKS: dict[type, Callable[[Any, tuple[int, ...]], None]] = {
+    Rectangles: _check_rectangles,
+    Pixels: _check_pixels,
+    State: _check_state,
+    Task: _check_task,
+}
