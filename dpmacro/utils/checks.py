@@ -6,7 +6,6 @@ The line starts with the argument's name, says the value, and what to give inste
 import math
 import numbers
 from collections.abc import Iterable
-from types import UnionType
 from typing import Any
 
 import numpy as np
@@ -92,7 +91,7 @@ def as_choice(name: str, value: Any, known: Iterable[str]) -> str:
     return value
 
 
-def as_entries(name: str, value: Any, count: int | None = None, kind: type | UnionType = tuple | list) -> Any:
+def as_entries(name: str, value: Any, count: int | None = None, kind: Any = tuple | list) -> Any:
     """A list or a tuple, or what `kind` says, of `count` entries where that is given."""
     wanted = "a list" if kind == tuple | list else "names with a value each"
     if not isinstance(value, kind):
