@@ -148,12 +148,8 @@ class PolicyConfig:
         transform = self.actions
         as_choice("loss", self.loss, LOSSES if self.vector else (CLASSES,))
         as_text("action_state", self.action_state)
-        as_count("outputs", self.outputs, 1, MOST_OUTPUTS)
-        outputs = self.action_names if transform is None else transform.kept
-        if len(outputs) != self.outputs:
-            raise ValueError(
-                f"outputs is {self.outputs}: give {len(outputs)}, as many as actions are learned"
-            )
+        least, most = (1, len(self.action_names)) if transform is None else (len(transform.kept),) * 2
+        as_count("outputs", self.outputs, least, min(most, MOST_OUTPUTS))
         if transform is None:
             return
         size = len(as_entries("action_names", self.action_names, len(transform.mean)))

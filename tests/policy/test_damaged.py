@@ -60,7 +60,7 @@ def test_a_config_that_is_no_object_of_a_policy(tmp_path, content):
         ({"cues": [[0], [99]]}, r"an action in cues\[1\] is 99: give 2 or less"),
         ({"switch_weight": float("nan")}, r"switch_weight is nan: give a finite number of 0 or more"),
         ({"action_names": [1, 2, 3]}, r"action_names\[0\] is 1: give a text"),
-        ({"outputs": 2}, r"outputs is 2: give 3, as many as actions are learned"),
+        ({"outputs": 4}, r"outputs is 4: give 3 or less"),
         ({"world": {"id": 5}}, r"world\.id is 5: give a text"),
         ({"surprise": 1}, r"'surprise' is no field of a policy: leave it out"),
     ],

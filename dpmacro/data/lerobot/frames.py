@@ -24,11 +24,11 @@ from dpmacro.data.lerobot.layout import StoredEpisode, Video
 from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
 from dpmacro.data.lerobot.tables import is_file, read_batches, read_table, to_cells, to_pixels
-from dpmacro.utils.checks import shown
 
 __all__ = ["TOLERANCE", "fill", "is_depth", "picture"]
 
 TOLERANCE = 1e-4  # seconds between a wanted time and the nearest frame's, LeRobot's own
+SHOWN = 100  # letters of a file that is missing
 BLOCK = 64  # images that a thread decodes at a time: few enough to balance, enough to hide the hand-over
 
 
@@ -154,7 +154,11 @@ def _content(cell: Any, root: Path, table: Path) -> Any:
 
 
 def _no_image(name: str, place: int, cell: Any) -> DatasetError:
-    what = f"damaged or missing (no file {shown(cell)})" if isinstance(cell, str) else "damaged"
+    what = (
+        f"damaged or missing (no file {' '.join(cell.split())[:SHOWN]})"
+        if isinstance(cell, str)
+        else "damaged"
+    )
     if isinstance(cell, pa.Buffer) and (size := stated_size(cell)) and size[0] * size[1] > MOST_PIXELS:
         what = f"{size[0]}x{size[1]} by its header, and {MOST_PIXELS} pixels are read at most"
     return DatasetError(f"{name}: the image of frame {place} is {what}; record the dataset again")
