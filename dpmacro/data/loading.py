@@ -113,7 +113,7 @@ def _of_task(store: StoredDataset, episodes: list[StoredEpisode], task: str | in
 def _rate(store: StoredDataset) -> list[str]:
     if store.info["fps"] == store.fps:
         return []
-    said = json.dumps(store.info["fps"])
+    said = json.dumps(store.info["fps"])[:80]
     return [f"info.json: fps is {said}; the timestamps say {store.fps:g} frames a second, which is taken"]
 
 

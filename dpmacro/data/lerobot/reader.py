@@ -70,7 +70,7 @@ class StoredDataset:
         measured = self._measured_fps
         if measured is None:
             raise DatasetError(
-                f"{self.root / 'meta/info.json'}: fps is {json.dumps(fps)}; write how many frames a "
+                f"{self.root / 'meta/info.json'}: fps is {json.dumps(fps)[:80]}; write how many frames a "
                 "second has"
             )
         return measured

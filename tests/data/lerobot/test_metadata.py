@@ -156,6 +156,12 @@ def test_truth_and_statistics_of_huge_numbers_take_no_memory(tmp_path):
         assert len(read.truth_classes) == N
 
 
+def test_a_note_of_a_long_rate_is_a_short_line(tmp_path):
+    root = build(tmp_path / "d")
+    edit_info(root, fps="x" * 5000)
+    assert max(map(len, Demonstrations.load(root).notes)) < 300
+
+
 def test_a_file_of_more_rows_than_memory_holds(tmp_path):
     root = build(tmp_path / "d")
     pq.write_table(pa.table({"episode_index": pa.array(np.zeros(2**24 + 1, np.int8))}), root / DATA)
