@@ -17,7 +17,7 @@ from dpmacro.data.demonstrations import Demonstrations
 from tests.fuzz.damage import bytes_damage, column_edits, dumped, edited, edits
 from tests.fuzz.limits import Findings, cases
 
-FEW = 35
+FEW = 15
 INFO, STATS, WORLD = "meta/info.json", "meta/stats.json", "meta/dpmacro.json"
 TASKS, LINES, TASK_LINES = "meta/tasks.parquet", "meta/episodes.jsonl", "meta/tasks.jsonl"
 

@@ -21,7 +21,7 @@ from tests.policy.test_policy import KEY, SHAPE, random_policy
 from tests.policy.test_vectors import vector_policy
 
 CONFIG, WEIGHTS = "config.json", "model.safetensors"
-FEW = 60
+FEW = 30
 
 
 def rectangles():
