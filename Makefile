@@ -10,7 +10,7 @@ SIMULATOR := $(VENV)/.metaworld-$(VERSION)
 BIN := $(VENV)/bin
 WORKERS ?= 2
 
-.PHONY: help venv test lint types pytest test-versions test-benchmarks demo clean-demo bench bench-segmentation \
+.PHONY: help venv test lint types pytest fuzz test-versions test-benchmarks demo clean-demo bench bench-segmentation \
         bench-selectors bench-reading bench-files odd-datasets table table-metaworld lerobot-metaworld
 .DEFAULT_GOAL := help
 
@@ -52,6 +52,11 @@ ONE_TRAINING := 'not test_train.py or mistake or spoiled or folder_holds or tens
 
 test-versions: $(INSTALLED) ## the tests that depend on the versions of Python and LeRobot
 	$(TESTS) -m 'not benchmark' -k $(ONE_TRAINING) $(VERSIONS)
+
+CASES ?= 500
+
+fuzz: $(INSTALLED) ## damage files in every way: CASES random cases of each test, 500 by default
+	FUZZ_CASES=$(CASES) $(BIN)/python -m pytest -s tests/fuzz
 
 test-benchmarks: $(PEERS) ## whole benchmarks in small, with the other libraries (make test leaves these out)
 	$(TESTS) $(SHAPES) -m benchmark

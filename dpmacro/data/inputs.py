@@ -1,5 +1,6 @@
 """Which features of a LeRobot dataset are what the policy sees: cameras, state-like vectors, the task."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
 from dpmacro.features.memory import GIB
 
-__all__ = ["Inputs", "choose_inputs", "read_cameras", "read_vectors", "task_names"]
+__all__ = ["Inputs", "choose_inputs", "read_cameras", "read_vectors", "task_indices", "task_names"]
 
 TASK = "task_index"
 MOST_TASKS = 10_000
@@ -146,6 +147,19 @@ def read_cameras(
     return buffers, notes
 
 
+def task_indices(store: StoredDataset, column: np.ndarray) -> Int64[np.ndarray, " frames"]:
+    """The task of every frame by its number. Raises DatasetError for what is no such number."""
+    name = f"dataset {store.root}: task_index"
+    if column.size != len(column) or column.dtype.kind not in "biuf":
+        raise DatasetError(f"{name} is not one number a frame; number tasks from 0")
+    finite(column, name)
+    values = column.reshape(-1).astype(np.float64)
+    wrong = values[(np.abs(values) > 2**53) | (values != np.round(values))]
+    if len(wrong):
+        raise DatasetError(f"{name} is {wrong[0]:g}; number tasks from 0")
+    return values.astype(np.int64)
+
+
 def task_names(store: StoredDataset, indices: Int64[np.ndarray, " frames"] | None = None) -> tuple[str, ...]:
     """What there is to do, in words, by task_index; the number as text where no file says."""
     if indices is not None and indices.min() < 0:
@@ -165,4 +179,4 @@ def _size(store: StoredDataset, name: str) -> int:
     """Numbers of a vector feature at a frame; 1 where the metadata does not say."""
     shape = store.features[name].get("shape")
     sizes = [size for size in (shape if isinstance(shape, list | tuple) else []) if isinstance(size, int)]
-    return int(np.prod(sizes, dtype=int))
+    return math.prod(sizes)

@@ -9,7 +9,7 @@ import numpy as np
 
 from dpmacro.data.actions import actions_of, choose_action
 from dpmacro.data.images import DatasetError, FrameBuffer, ImageTransform
-from dpmacro.data.inputs import choose_inputs, read_cameras, read_vectors, task_names
+from dpmacro.data.inputs import choose_inputs, read_cameras, read_vectors, task_indices, task_names
 from dpmacro.data.lerobot.layout import StoredEpisode
 from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
@@ -50,7 +50,7 @@ def load_parts(
     actions, action_names = actions_of(store, acting, columns)
     labels, classes = (None, ()) if truth is None else true_labels(store, truth, columns[truth])
     vectors = read_vectors(store, what.vectors, columns)
-    doing = columns["task_index"].reshape(-1).astype(np.int64) if several else None
+    doing = task_indices(store, columns["task_index"]) if several else None
     tasks = task_names(store, doing)
     buffers, depths = read_cameras(store, what, inputs is not None, chosen, rows, transform, tolerance)
     observations: dict[str, np.ndarray] = {
@@ -98,7 +98,7 @@ def _of_task(store: StoredDataset, episodes: list[StoredEpisode], task: str | in
         found = [episode for episode in episodes if words in episode.tasks]
     else:
         rows = store.locate(episodes)
-        doing = store.columns(["task_index"], episodes, rows)["task_index"].reshape(-1)
+        doing = store.scalars(["task_index"], episodes, rows)["task_index"]
         index = next((number for number, word in store.tasks.items() if word == words), -1)
         starts = np.cumsum(rows.lengths) - rows.lengths
         found = [episode for episode, start in zip(episodes, starts, strict=True) if doing[start] == index]
@@ -113,7 +113,7 @@ def _of_task(store: StoredDataset, episodes: list[StoredEpisode], task: str | in
 def _rate(store: StoredDataset) -> list[str]:
     if store.info["fps"] == store.fps:
         return []
-    said = json.dumps(store.info["fps"])
+    said = json.dumps(store.info["fps"])[:80]
     return [f"info.json: fps is {said}; the timestamps say {store.fps:g} frames a second, which is taken"]
 
 

@@ -39,6 +39,8 @@ def true_labels(
     for negative labels and for more than MOST_CLASSES.
     """
     values, where = column.reshape(-1), f"dataset {store.root}: {truth}"
+    if len(values) != len(column):
+        raise DatasetError(f"{where} has {column.shape[1]} values a frame; name a column of one as truth")
     if values.dtype.kind not in "biuO":
         raise DatasetError(
             f"{where} is of type {values.dtype}; name a column of whole numbers or text as truth"

@@ -1,5 +1,6 @@
 """Vectors of action <-> what is learned of them: without constant numbers, beside the state, standardised."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,11 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
+from dpmacro.utils.checks import as_count, as_entries, as_flag, as_number, as_text, shown
+
 __all__ = ["ActionTransform"]
 
 EPSILON = 1e-6  # spread and differences below this share of a number's size are rounding
 RARE = 1e-3  # share of frames, all in few trajectories, that a constant number may differ in
 FEW = 0.05  # share of the trajectories
+MOST = 1e30  # of a mean or a scale in a file: float32 holds what comes of it
 NEAR = 0.5  # spread of action - state over the state's, below which actions are targets for the state
 
 
@@ -152,15 +156,35 @@ class ActionTransform:
     def from_dict(cls, values: dict[str, Any]) -> "ActionTransform":
         """What `to_dict` gave. Raises ValueError for anything else."""
         try:
-            tuples = {name: tuple(values[name]) for name in ("mean", "scale", "kept", "fixed", "names")}
-            made = cls(**tuples, relative=bool(values["relative"]), nearness=values.get("nearness"))
-            sound = len(made.mean) == len(made.scale) == len(made.names) and min(made.scale) > 0
-            sound &= len(made.kept) > 0 and {*made.kept, *made.fixed} <= {*range(len(made.mean))}
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"no transform of actions: {error!r}; train the policy again") from error
-        if not sound:
-            raise ValueError(f"no transform of actions: {values}; train the policy again")
-        return made
+            known = {name: values[name] for name in ("mean", "scale", "kept", "fixed", "names", "relative")}
+            return cls._checked(**known, nearness=values.get("nearness"))
+        except KeyError as error:
+            raise ValueError(f"no transform of actions, it has no {error}: train the policy again") from error
+        except ValueError as error:
+            raise ValueError(f"no transform of actions, {error}; train the policy again") from error
+
+    @classmethod
+    def _checked(
+        cls, mean: Any, scale: Any, kept: Any, fixed: Any, names: Any, relative: Any, nearness: Any
+    ) -> "ActionTransform":
+        """The transform of what a file holds. Raises ValueError that names the part that cannot be."""
+        dims = len(as_entries("mean", mean))
+        for place, (own, spread) in enumerate(zip(mean, as_entries("scale", scale, dims), strict=True)):
+            as_number(f"mean[{place}]", own, least=-MOST, most=MOST)
+            as_number(f"scale[{place}]", spread, above=0.0, most=MOST)
+        for name, places in (("kept", kept), ("fixed", fixed)):
+            for place, own in enumerate(as_entries(name, places)):
+                as_count(f"{name}[{place}]", own, 0, dims - 1)
+            if any(first >= second for first, second in itertools.pairwise(places)):
+                raise ValueError(f"{name} is {shown(places)}: give each number once, ascending")
+        if not kept or {*kept} & {*fixed}:
+            raise ValueError(f"kept is {shown(kept)}: give one number at least, and none that is fixed")
+        for place, own in enumerate(as_entries("names", names, dims)):
+            as_text(f"names[{place}]", own)
+        if nearness is not None:
+            as_number("nearness", nearness, least=0.0)
+        as_flag("relative", relative)
+        return cls(tuple(mean), tuple(scale), tuple(kept), relative, tuple(fixed), tuple(names), nearness)
 
     def _stated(self, state: Any) -> Any:
         if state is None or state.shape[1] != len(self.mean):

@@ -13,6 +13,7 @@ from dpmacro.features.encoders.pixels import Pixels
 from dpmacro.features.encoders.rectangles import Rectangles
 from dpmacro.features.encoders.state import State
 from dpmacro.features.encoders.task import Task
+from dpmacro.utils.checks import as_choice, as_entries, shown
 
 __all__ = [
     "FEATURES",
@@ -125,18 +126,21 @@ def encoder_from(spec: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> Enco
 
     Raises ValueError for a kind that does not exist and for a spec or tensors that are not the kind's.
     """
-    kind = spec.get("kind")
+    kind = as_entries("an encoder", spec, kind=Mapping).get("kind")
     if kind == "concat":
-        return Concat(tuple(_parts(spec.get("parts", ()), tensors)))
-    if kind not in ENCODERS:
-        raise ValueError(f"an encoder is {kind!r}: there are {', '.join([*ENCODERS, 'concat'])}")
+        specs = as_entries("the parts of an encoder", spec.get("parts"))
+        if any(isinstance(own, Mapping) and own.get("kind") == "concat" for own in specs):
+            raise ValueError("an encoder has a concat among its parts: list the parts of that")
+        return Concat(tuple(_parts(specs, tensors)))
+    as_choice("the kind of an encoder", kind, ENCODERS)
     values = {name: value for name, value in spec.items() if name != "kind"}
     if kind == "state" and "dimensions" in values:
-        values["dimensions"] = tuple(values["dimensions"])
+        values["dimensions"] = tuple(as_entries("the dimensions of a state", values["dimensions"]))
     try:
         return ENCODERS[kind](**values, **tensors)
     except TypeError as error:
-        raise ValueError(f"{kind} cannot be made of {sorted([*values, *tensors])}: {error}") from error
+        given = shown(sorted(map(str, [*values, *tensors])))
+        raise ValueError(f"an encoder of {kind} cannot be made of {given}: train the policy again") from error
 
 
 def blank_observation(encoder: Encoder, batch: int, device: str | torch.device = "cpu") -> Observation:
@@ -156,9 +160,10 @@ def blank_observation(encoder: Encoder, batch: int, device: str | torch.device =
 def _parts(specs: Sequence[Mapping[str, Any]], tensors: Mapping[str, Tensor]) -> list[Encoder]:
     """The parts of a `Concat`, whose tensors have a part's number before their names."""
     own: list[dict[str, Tensor]] = [{} for _ in specs]
+    known = set(map(str, range(len(specs))))
     for name, tensor in tensors.items():
         number, _, rest = name.partition(".")
-        if not number.isdecimal() or int(number) >= len(specs):
-            raise ValueError(f"tensor {name!r} is of no part: there are {len(specs)}")
+        if number not in known:
+            raise ValueError(f"tensor {shown(name)} is of no part: there are {len(specs)}")
         own[int(number)][rest] = tensor
     return [encoder_from(spec, part) for spec, part in zip(specs, own, strict=True)]

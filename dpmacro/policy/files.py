@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dpmacro.policy.config import PolicyConfig, parsed_config
+from dpmacro.utils.checks import as_entries, in_a_line, shown
 from dpmacro.utils.files import replacing
 
 __all__ = ["ACTION", "CONFIG_NAME", "TYPE", "features_of", "read_config", "write_config", "write_json"]
@@ -66,13 +67,15 @@ def read_config(path: Path) -> PolicyConfig:
     try:
         if path.stat().st_size > LARGEST:
             raise ValueError(f"it has more than {LARGEST} bytes")
-        values = json.loads(path.read_text())
+        values = as_entries("its content", json.loads(path.read_text()), kind=dict)
         # Before LeRobot could load policies, the file held nothing but what now is under `planner`.
+        if values.get("type", TYPE) != TYPE and "planner" in values:
+            raise ValueError(f"its type is {shown(values['type'])}: give {TYPE}")
         return parsed_config(values.get("planner", values))
-    except (ValueError, AttributeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(
-            f"{path} is no policy of dpmacro, or of an earlier version ({error}): give a folder that "
-            "train.py wrote, or train it again"
+            f"{path} is no policy of dpmacro, or of an earlier version ({in_a_line(error)}): give a folder "
+            "that train.py wrote, or train it again"
         ) from error
 
 

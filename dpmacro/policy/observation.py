@@ -4,10 +4,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from dpmacro.policy.config import PolicyConfig
 
-__all__ = ["observed"]
+__all__ = ["blank", "observed"]
 
 IMAGES, PREFIX = "images.", "observation."
 
@@ -29,6 +31,15 @@ def observed(raw: Mapping[str, Any], config: PolicyConfig) -> dict[str, np.ndarr
             value = config.image_transform.of(key).apply(value, "the observation")
         found[key] = value if value.dtype == np.uint8 or not one.shape else value.astype(np.float32)
     return found
+
+
+def blank(config: PolicyConfig, device: torch.device) -> dict[str, Tensor]:
+    """The inputs of a policy that sees nothing, one row: black images, vectors of 0, task 0."""
+    kinds = {0: torch.int64, 1: torch.float32, 3: torch.uint8}
+    return {
+        key: torch.zeros(1, *one.shape, dtype=kinds[len(one.shape)], device=device)
+        for key, one in config.inputs.items()
+    }
 
 
 def _value(raw: Mapping[str, Any], key: str) -> Any:

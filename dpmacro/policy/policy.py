@@ -22,8 +22,11 @@ from dpmacro.features.kinds import encoder_from
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.files import CONFIG_NAME, read_config, write_config
+from dpmacro.policy.observation import blank
 from dpmacro.policy.planner import MacroPlanner, PolicyState
 from dpmacro.policy.recovery import RecoveringPlanner, Stretches
+from dpmacro.policy.soundness import check_groups, check_parts, grouped
+from dpmacro.utils.checks import in_a_line
 from dpmacro.utils.files import replacing
 
 __all__ = ["WEIGHTS_NAME", "MacroPolicy", "PolicyState"]
@@ -263,17 +266,15 @@ class MacroPolicy:
     ) -> "MacroPolicy":
         """The policy of this config and the numbers that `save_weights` wrote; errors as `load`."""
         try:
-            policy = _assemble(config, load_file(file, device=str(device)))
-            # A frame tells whether the tensors fit one another, before a world is built.
-            kinds = {0: torch.int64, 1: torch.float32, 3: torch.uint8}
-            blank = {
-                key: torch.zeros(1, *one.shape, dtype=kinds[len(one.shape)], device=policy.device)
-                for key, one in config.inputs.items()
-            }
-            policy.act(blank, policy.initial_state(1))
+            tensors = load_file(file, device=str(device))
+            check_groups(config, grouped(tensors))
+            policy = _assemble(config, tensors)
+            check_parts(**vars(policy))
+            # A frame tells whether it runs, before a world is built.
+            policy.act(blank(config, policy.device), policy.initial_state(1))
             return policy
         except (SafetensorError, LookupError, TypeError, ValueError, RuntimeError, OSError) as error:
-            raise ValueError(f"{file} cannot be read ({error}): train or copy it again") from error
+            raise ValueError(f"{file} cannot be read ({in_a_line(error)}): train or copy it again") from error
 
     def _tensors(self) -> dict[str, Tensor]:
         groups = {"features": self.features.tensors(), "actor": classifier_tensors(self.actor)}
@@ -286,10 +287,7 @@ class MacroPolicy:
 
 
 def _assemble(config: PolicyConfig, tensors: dict[str, Tensor]) -> MacroPolicy:
-    groups: dict[str, dict[str, Tensor]] = {}
-    for name, tensor in tensors.items():
-        group, _, field_name = name.partition(".")
-        groups.setdefault(group, {})[field_name] = tensor
+    groups = grouped(tensors)
     return MacroPolicy(
         config,
         encoder_from(config.encoder, groups.get("features", {})),

@@ -32,6 +32,7 @@ import torch
 from jaxtyping import Float, Int64, UInt8
 from torch import Tensor
 
+from dpmacro.features.stored import check_range, check_tensor
 from dpmacro.policy.planner import MacroPlanner
 from dpmacro.segmentation.segments import macro_segments
 
@@ -76,7 +77,13 @@ class Stretches:
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, Tensor]) -> "Stretches":
         """What `tensors` gave; raises ValueError where the parts do not fit one another."""
+        if tensors.keys() != {"actions", "lengths", "macros"}:
+            raise ValueError(f"stretches have {', '.join(tensors)}: give actions, lengths and macros")
         found = cls(tensors["actions"].cpu(), tensors["lengths"].cpu(), tensors["macros"].cpu())
+        check_tensor("actions of stretches", found.actions, (torch.uint8,), None)
+        check_tensor("lengths of stretches", found.lengths, (torch.int64,), None)
+        check_tensor("macros of stretches", found.macros, (torch.int64,), None)
+        check_range("lengths of stretches", found.lengths, 1, len(found.actions))
         if int(found.lengths.sum()) != len(found.actions) or len(found.lengths) != len(found.macros):
             raise ValueError(
                 f"{len(found.lengths)} segments of {int(found.lengths.sum())} frames in all for "

@@ -1,5 +1,6 @@
 """The options of train.py: one dataclass, a sentence per field, each checking itself."""
 
+import math
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
@@ -8,6 +9,9 @@ import torch
 from dpmacro.boosting.losses.vectors import LOSSES
 from dpmacro.discovery.settings import ORDERS, RECIPES
 from dpmacro.features.kinds import FEATURES
+from dpmacro.policy.config import MOST_MACROS, MOST_PIXELS
+from dpmacro.segmentation.arguments import MOST_TRANSITIONS
+from dpmacro.utils.checks import as_count
 
 __all__ = [
     "LEARNERS",
@@ -24,6 +28,22 @@ SEEDS = 2**63  # those that generators take
 LEARNERS = ("stumps", "convnet")
 MACROS = 2  # unless a number is given, or names of macro-actions
 RELATIVE = ("auto", "true", "false")
+MOST_RUNS = 100_000  # of a DAgger iteration; their workers are no more
+
+# What the counts may be: beyond these, memory or a lifetime would not do.
+COUNTS = {
+    "macros": (1, MOST_MACROS),
+    "max_macros": (2, MOST_MACROS),
+    "max_transitions": (0, MOST_TRANSITIONS),
+    "rounds": (1, 1_000_000),
+    "restarts": (1, 100_000),
+    "rectangles": (1, 1_000_000),
+    "drawn": (0, 2**31),
+    "reuse": (1, 1_000_000),
+    "switch_window": (1, 1_000_000),
+    "switch_rounds": (1, 1_000_000),
+    "switch_drawn": (0, 2**31),
+}
 
 
 @dataclass(frozen=True)
@@ -62,6 +82,10 @@ class DatasetOptions:
             )
         if self.image_size is not None and min(self.image_size) < 1:
             raise ValueError(f"dataset.image_size is {list(self.image_size)}: give a width and a height")
+        if self.image_size is not None and math.prod(self.image_size) > MOST_PIXELS:
+            raise ValueError(
+                f"dataset.image_size is {list(self.image_size)}: give {MOST_PIXELS} pixels at most"
+            )
 
 
 @dataclass(frozen=True)
@@ -77,8 +101,7 @@ class ConvNetOptions:
 
     def __post_init__(self) -> None:
         for name in ("rounds", "epochs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"planner.convnet.{name} is {getattr(self, name)}: give 1 or more")
+            as_count(f"planner.convnet.{name}", getattr(self, name), 1, 10_000)
         if not 0 < self.shrinkage <= 1:
             raise ValueError(
                 f"planner.convnet.shrinkage is {self.shrinkage}: give a number above 0 and up to 1"
@@ -162,39 +185,22 @@ class PlannerOptions:
                 raise ValueError(
                     f"planner.{name} is {getattr(self, name)!r}: choose one of {', '.join(LEARNERS)}"
                 )
-        for name in ("drawn", "switch_drawn"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"planner.{name} is {getattr(self, name)}: give 0 or more")
         if not self.memory_limit > 0:
             raise ValueError(f"planner.memory_limit is {self.memory_limit}: give a number of GiB above 0")
         if self.features not in FEATURES:
             raise ValueError(f"planner.features is {self.features!r}: choose one of {', '.join(FEATURES)}")
         if isinstance(self.macros, str) and self.macros != "auto":
             raise ValueError(f"planner.macros is {self.macros!r}: give a number, or auto")
-        if isinstance(self.macros, int) and self.macros < 1:
-            raise ValueError(f"planner.macros is {self.macros}: give 1 or more, or auto")
-        if self.max_macros < 2:
-            raise ValueError(f"planner.max_macros is {self.max_macros}: give 2 or more")
+        for name, (least, most) in COUNTS.items():
+            if getattr(self, name) not in (None, "auto"):
+                as_count(f"planner.{name}", getattr(self, name), least, most)
         if not 0 <= self.switch_weight < float("inf"):
             raise ValueError(f"planner.switch_weight is {self.switch_weight}: give 0 or more")
-        counts = (
-            "rounds",
-            "restarts",
-            "rectangles",
-            "reuse",
-            "switch_window",
-            "switch_rounds",
-        )
-        for name in counts:
-            if getattr(self, name) < 1:
-                raise ValueError(f"planner.{name} is {getattr(self, name)}: give 1 or more")
         for name in ("shrinkage", "switch_shrinkage"):
             if not 0 < getattr(self, name) <= 1:
                 raise ValueError(
                     f"planner.{name} is {getattr(self, name)}: give a number above 0 and up to 1"
                 )
-        if self.max_transitions is not None and self.max_transitions < 0:
-            raise ValueError(f"planner.max_transitions is {self.max_transitions}: give 0 or more")
 
 
 # What the paper's recipe fixes; of each option only this value or the default may be given with it.
@@ -240,10 +246,9 @@ class DaggerOptions:
     """Processes that share the runs; results do not depend on their number."""
 
     def __post_init__(self) -> None:
-        least = {"iterations": 0, "seed": 0, "validation_seed": 0}
+        bounds = {"iterations": (0, 1000), "seed": (0, SEEDS - 1), "validation_seed": (0, SEEDS - 1)}
         for name, value in vars(self).items():
-            if value < least.get(name, 1):
-                raise ValueError(f"dagger.{name} is {value}: give {least.get(name, 1)} or more")
+            as_count(f"dagger.{name}", value, *bounds.get(name, (1, MOST_RUNS)))
         gathered = range(self.seed, self.seed + self.iterations * self.episodes)
         validating = range(self.validation_seed, self.validation_seed + self.validation_episodes)
         if max(gathered.start, validating.start) < min(gathered.stop, validating.stop):
@@ -282,10 +287,9 @@ class TrainOptions:
             self._check_labels()
         elif self.planner.macros is None:
             object.__setattr__(self, "planner", replace(self.planner, macros=MACROS))
-        if not 0 <= self.seed < SEEDS:
-            raise ValueError(f"seed is {self.seed}: give 0 or more, and less than {SEEDS}")
+        as_count("seed", self.seed, 0, SEEDS - 1)
         try:
-            torch.empty(0, device=self.device)
+            torch.zeros(1, device=self.device).item()  # the device meta holds no values
         except (RuntimeError, AssertionError) as error:
             raise ValueError(f"device {self.device!r} is not available here: give --device=cpu") from error
 

@@ -5,6 +5,7 @@ The line starts with the argument's name, says the value, and what to give inste
 
 import math
 import numbers
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,16 @@ from torch import Tensor
 
 __all__ = [
     "ArrayLike",
+    "as_choice",
     "as_count",
+    "as_entries",
     "as_flag",
     "as_lengths",
     "as_number",
     "as_tensor",
+    "as_text",
     "as_whole_vector",
+    "in_a_line",
     "shown",
 ]
 
@@ -28,6 +33,7 @@ ArrayLike = (
 )
 
 SHOWN = 60  # characters of a wrong value
+SHOWN_ERROR = 200  # characters of what another library says
 SMALL_FLOAT = 2  # bytes: CPUs lack operations for such numbers and smaller ones
 UNSIGNED = (torch.uint16, torch.uint32, torch.uint64)  # likewise
 
@@ -68,6 +74,31 @@ def as_number(
     if not (math.isfinite(number) and number > above and least <= number <= most):
         raise ValueError(f"{name} is {shown(value)}: give {wanted}")
     return number
+
+
+def as_text(name: str, value: Any) -> str:
+    """A text."""
+    if not isinstance(value, str):
+        raise ValueError(f"{name} is {shown(value)}: give a text")
+    return value
+
+
+def as_choice(name: str, value: Any, known: Iterable[str]) -> str:
+    """One of the texts that are `known`."""
+    known = tuple(known)
+    if not isinstance(value, str) or value not in known:
+        raise ValueError(f"{name} is {shown(value)}: give one of {', '.join(known)}")
+    return value
+
+
+def as_entries(name: str, value: Any, count: int | None = None, kind: Any = tuple | list) -> Any:
+    """A list or a tuple, or what `kind` says, of `count` entries where that is given."""
+    wanted = "a list" if kind == tuple | list else "names with a value each"
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} is {shown(value)}: give {wanted}")
+    if count is not None and len(value) != count:
+        raise ValueError(f"{name} has {len(value)} entries, {shown(value)}: give {count}")
+    return value
 
 
 def as_tensor(name: str, value: ArrayLike, dims: int, shape: str) -> Tensor:
@@ -133,7 +164,15 @@ def shown(value: Any) -> str:
         line = " ".join(repr(value).split())
     except ValueError:  # Python does not print whole numbers of thousands of digits
         line = f"{type(value).__name__} of too many digits"
+    except RecursionError:
+        line = f"{type(value).__name__} of too many levels"
     return line if len(line) <= SHOWN else f"{line[: SHOWN - 3]}..."
+
+
+def in_a_line(error: BaseException) -> str:
+    """What an error says, in one line; what it is where it says nothing."""
+    line = " ".join(str(error).split()) or type(error).__name__
+    return line if len(line) <= SHOWN_ERROR else f"{line[: SHOWN_ERROR - 3]}..."
 
 
 def _from_array(name: str, value: ArrayLike, shape: str) -> Tensor:

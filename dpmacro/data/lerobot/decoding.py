@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
 from dpmacro.data.images import DatasetError
+from dpmacro.data.lerobot.headers import MOST_PIXELS, stated_size
 
 __all__ = [
     "Clip",
@@ -114,8 +115,7 @@ def decode_image(content: Any) -> UInt8[np.ndarray, "height width 3"] | None:
     """The RGB image of PNG or JPEG bytes, or of pixels; None where they are damaged."""
     if content is None or isinstance(content, np.ndarray):
         return _as_rgb(content)
-    encoded = np.frombuffer(content, np.uint8)
-    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+    image = _decoded(content, cv2.IMREAD_COLOR)
     return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -126,11 +126,21 @@ def probe_image(content: Any) -> Picture | None:
             return Picture(content.shape[0], content.shape[1], True)
         rgb = _as_rgb(content)
         return None if rgb is None else Picture(rgb.shape[0], rgb.shape[1], False)
-    encoded = np.frombuffer(content, np.uint8)
-    image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
+    image = _decoded(content, cv2.IMREAD_UNCHANGED)
     if image is None:
         return None
     return Picture(image.shape[0], image.shape[1], image.dtype != np.uint8 and image.ndim == 2)
+
+
+def _decoded(content: Any, mode: int) -> np.ndarray | None:
+    """A PNG or JPEG file as OpenCV decodes it; None where it is neither, is damaged, or too large."""
+    width, height = stated_size(content) or (0, 0)
+    if not 0 < width * height <= MOST_PIXELS:
+        return None
+    try:
+        return cv2.imdecode(np.frombuffer(content, np.uint8), mode)
+    except cv2.error:
+        return None
 
 
 def _as_rgb(pixels: np.ndarray | None) -> UInt8[np.ndarray, "height width 3"] | None:
@@ -149,7 +159,8 @@ def _open_video(path: Path) -> Any:
     if not path.is_file():
         raise DatasetError(f"{path}: is missing; the dataset is half-copied or half-written")
     av.logging.set_libav_level(av.logging.FATAL)  # errors are raised; libav would write its own lines, too
-    container = av.open(f"file:{path}")  # a path as it is may be taken for a protocol
+    # A path as it is may be taken for a protocol; titles in a file may be in no encoding, and are not read.
+    container = av.open(f"file:{path}", metadata_errors="ignore")
     if not container.streams.video:
         container.close()
         raise DatasetError(f"{path}: holds no video; record the dataset again")
@@ -157,6 +168,10 @@ def _open_video(path: Path) -> Any:
     if stream.codec_context is None or not stream.time_base:
         container.close()
         raise DatasetError(f"{path}: holds a video of no known codec or clock; record the dataset again")
+    width, height = stream.codec_context.width, stream.codec_context.height
+    if width * height > MOST_PIXELS:
+        container.close()
+        raise DatasetError(f"{path}: holds a video of {width}x{height}; store {MOST_PIXELS} pixels at most")
     return container
 
 

@@ -19,14 +19,16 @@ from dpmacro.data.lerobot.decoding import (
     probe_video,
     scan_video,
 )
+from dpmacro.data.lerobot.headers import MOST_PIXELS, stated_size
 from dpmacro.data.lerobot.layout import StoredEpisode, Video
 from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
-from dpmacro.data.lerobot.tables import read_batches, read_table, to_cells, to_pixels
+from dpmacro.data.lerobot.tables import is_file, read_batches, read_table, to_cells, to_pixels
 
 __all__ = ["TOLERANCE", "fill", "is_depth", "picture"]
 
 TOLERANCE = 1e-4  # seconds between a wanted time and the nearest frame's, LeRobot's own
+SHOWN = 100  # letters of a file that is missing
 BLOCK = 64  # images that a thread decodes at a time: few enough to balance, enough to hide the hand-over
 
 
@@ -93,7 +95,7 @@ def _clips(
     store: StoredDataset, camera: str, episodes: Sequence[StoredEpisode], rows: Rows, tolerance: float
 ) -> list[Clip]:
     """The frames wanted of every file, all within the tolerance."""
-    stamps = store.columns(["timestamp"], episodes, rows)["timestamp"].reshape(-1).astype(np.float64)
+    stamps = store.stamps(episodes, rows)
     ends = np.cumsum(rows.lengths)
     wanted: dict[Path, list[np.ndarray]] = {}
     for episode, end, length in zip(episodes, ends, rows.lengths, strict=True):
@@ -144,7 +146,7 @@ def _content(cell: Any, root: Path, table: Path) -> Any:
     A path is of the dataset, or beside the table.
     """
     if isinstance(cell, str):
-        files = [folder / cell for folder in (root, table.parent) if (folder / cell).is_file()]
+        files = [folder / cell for folder in (root, table.parent) if is_file(folder / cell)]
         return files[0].read_bytes() if files else b""
     if isinstance(cell, pa.Scalar):
         return to_pixels(cell)
@@ -152,5 +154,11 @@ def _content(cell: Any, root: Path, table: Path) -> Any:
 
 
 def _no_image(name: str, place: int, cell: Any) -> DatasetError:
-    what = f"damaged or missing (no file {cell})" if isinstance(cell, str) else "damaged"
+    what = (
+        f"damaged or missing (no file {' '.join(cell.split())[:SHOWN]})"
+        if isinstance(cell, str)
+        else "damaged"
+    )
+    if isinstance(cell, pa.Buffer) and (size := stated_size(cell)) and size[0] * size[1] > MOST_PIXELS:
+        what = f"{size[0]}x{size[1]} by its header, and {MOST_PIXELS} pixels are read at most"
     return DatasetError(f"{name}: the image of frame {place} is {what}; record the dataset again")

@@ -1,13 +1,14 @@
 """In which files a dataset's episodes lie: layout v3 (many episodes a file) or v2 (one a file)."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from dpmacro.data.images import DatasetError
-from dpmacro.data.lerobot.tables import read_json_lines, read_rows
+from dpmacro.data.lerobot.schema import check_episode, check_task, filled, is_whole
+from dpmacro.data.lerobot.tables import is_file, read_json_lines, read_rows
+from dpmacro.utils.checks import in_a_line, shown
 
 __all__ = ["StoredEpisode", "Video", "read_episodes", "read_tasks"]
 
@@ -92,8 +93,7 @@ def read_tasks(root: Path) -> dict[int, str]:
         named = [row.get(key) for key in WORDS if isinstance(row.get(key), str)]
         words = named or [value for key, value in row.items() if isinstance(value, str)]
         index = {"task_index": place, **_there(row)}["task_index"]
-        if not isinstance(index, int) or index < 0 or not words:
-            raise DatasetError(f"{path}: a task is {row}; give each a task_index from 0 on and its words")
+        check_task(path, row, index, words)
         tasks[index] = str(words[0])
     return tasks
 
@@ -106,12 +106,14 @@ def _of_v3(
     data = _file(root, info, "data_path", DATA_V3, place) if None not in place.values() else None
     videos: dict[str, Video | str] = {}
     for camera in cameras:
-        of_video = {key: row.get(f"videos/{camera}/{key}") for key in (*place, "from_timestamp")}
+        of_video: dict[str, Any] = {
+            key: row.get(f"videos/{camera}/{key}") for key in (*place, "from_timestamp")
+        }
         missing = next((key for key, value in of_video.items() if value is None), None)
         if missing is not None:
             videos[camera] = f"{path}: episode {index} has no videos/{camera}/{missing}; record it again"
             continue
-        start = float(of_video.pop("from_timestamp"))  # type: ignore[arg-type]
+        start = float(of_video.pop("from_timestamp"))
         file = _file(root, info, "video_path", VIDEO_V3, {"video_key": camera, **of_video})
         videos[camera] = Video(file, start)
     return StoredEpisode(index, _length(row), data, videos, _words(row))
@@ -121,10 +123,10 @@ def _of_v2(
     root: Path, info: Mapping[str, Any], cameras: list[str], path: Path, row: dict[str, Any]
 ) -> StoredEpisode:
     index = _index(path, row)
-    size = info.get("chunks_size")
+    size: Any = info.get("chunks_size")
     place = {
         "episode_index": index,
-        "episode_chunk": index // (size if isinstance(size, int) and size else CHUNK),
+        "episode_chunk": index // (size if is_whole(size) and size > 0 else CHUNK),
     }
     videos: dict[str, Video | str] = {
         camera: Video(_file(root, info, "video_path", VIDEO_V2, {"video_key": camera, **place}), 0.0)
@@ -137,18 +139,17 @@ def _of_v2(
 def _file(root: Path, info: Mapping[str, Any], key: str, usual: str, place: Mapping[str, Any]) -> Path:
     """The file by the dataset's own template or, where that is of another layout, by the usual one."""
     template = info.get(key)
-    fields = set(re.findall(r"{(\w+)", template)) if isinstance(template, str) else set()
-    own = template if fields and fields <= place.keys() else usual
     usual_path = root / usual.format(**place)
     try:
-        path = root / str(own).format(**place)
+        own = filled(template, place)
     except (ValueError, IndexError) as error:
-        if usual_path.is_file():
+        if is_file(usual_path):
             return usual_path
         raise DatasetError(
-            f"{root / 'meta/info.json'}: {key} is {template!r} ({error}); write {usual}"
+            f"{root / 'meta/info.json'}: {key} is {shown(template)} ({in_a_line(error)}); write {usual}"
         ) from error
-    return usual_path if usual_path.is_file() and not path.is_file() else path
+    path = usual_path if own is None else root / own
+    return usual_path if is_file(usual_path) and not is_file(path) else path
 
 
 def _there(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -157,10 +158,8 @@ def _there(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _index(path: Path, row: Mapping[str, Any]) -> int:
-    index = row.get("episode_index")
-    if not isinstance(index, int):
-        raise DatasetError(f"{path}: a row has episode_index {index}; give each episode its number")
-    return index
+    check_episode(path, row)
+    return row["episode_index"]
 
 
 def _length(row: Mapping[str, Any]) -> int | None:

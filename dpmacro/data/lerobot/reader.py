@@ -5,6 +5,7 @@ lies (`layout`), `data/**.parquet` holds a row per frame (images as PNG bytes), 
 """
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,11 +14,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Float64
 
 from dpmacro.data.images import DatasetError
 from dpmacro.data.lerobot.layout import StoredEpisode, read_episodes, read_tasks
 from dpmacro.data.lerobot.rows import Rows
-from dpmacro.data.lerobot.tables import column_names, read_json, read_table, to_numpy
+from dpmacro.data.lerobot.schema import MOST_FPS, check_info, check_world, is_whole
+from dpmacro.data.lerobot.tables import column_names, is_file, read_json, read_table, to_numpy
 
 __all__ = ["WORLD_FILE", "StoredDataset"]
 
@@ -49,15 +52,10 @@ class StoredDataset:
         if not root.is_dir():
             raise DatasetError(f"dataset {root}: no such folder; record one with datasets/record.py")
         info = read_json(root / "meta/info.json")
-        for key in ("features", "fps"):
-            if key not in info:
-                raise DatasetError(f"dataset {root}: meta/info.json has no {key}; it is no LeRobot dataset")
+        check_info(root, info)
+        if is_file(root / WORLD_FILE):
+            check_world(root / WORLD_FILE, read_json(root / WORLD_FILE))
         named = info["features"]
-        if not isinstance(named, dict) or not all(isinstance(one, dict) for one in named.values()):
-            raise DatasetError(
-                f"{root / 'meta/info.json'}: features is {json.dumps(named)[:80]}; give each name its "
-                "dtype and shape"
-            )
         videos = [name for name, feature in named.items() if feature.get("dtype") == "video"]
         episodes, notes = read_episodes(root, info, videos)
         notes += _check_totals(root, info, episodes)
@@ -67,12 +65,12 @@ class StoredDataset:
     def fps(self) -> float:
         """Frames per second, a fraction where it is one; by the timestamps where info.json has no number."""
         fps = self.info["fps"]
-        if not isinstance(fps, bool) and isinstance(fps, int | float) and 0 < fps < float("inf"):
+        if not isinstance(fps, bool) and isinstance(fps, int | float) and 0 < fps <= MOST_FPS:
             return float(fps)
         measured = self._measured_fps
         if measured is None:
             raise DatasetError(
-                f"{self.root / 'meta/info.json'}: fps is {json.dumps(fps)}; write how many frames a "
+                f"{self.root / 'meta/info.json'}: fps is {json.dumps(fps)[:80]}; write how many frames a "
                 "second has"
             )
         return measured
@@ -84,9 +82,9 @@ class StoredDataset:
             return None
         for episode in self.episodes:
             if episode.length is None or episode.length > 1:
-                steps = np.diff(self.columns(["timestamp"], [episode])["timestamp"].reshape(-1))
-                step = float(np.median(steps)) if steps.size and steps.dtype.kind == "f" else 0.0
-                return round(1 / step, 3) if 0 < step < float("inf") else None
+                steps = np.diff(self.stamps([episode]))
+                step = float(np.median(steps)) if steps.size else 0.0
+                return round(1 / step, 3) if 1 / MOST_FPS <= step < math.inf else None
         return None
 
     @cached_property
@@ -121,27 +119,42 @@ class StoredDataset:
 
     @property
     def symmetric(self) -> bool:
-        """Whether `WORLD_FILE` declares the world and its mirror image alike; false where it does not say.
-
-        Raises DatasetError for a value that is neither true nor false.
-        """
-        declared = self._recorded("symmetric", False)
-        if not isinstance(declared, bool):
-            raise DatasetError(
-                f"{self.root / WORLD_FILE}: symmetric is {json.dumps(declared)}; write true or false"
-            )
-        return declared
+        """Whether `WORLD_FILE` declares the world and its mirror image alike; false where it does not say."""
+        return self._recorded("symmetric", False)
 
     def largest(self, feature: str) -> int:
         """The largest value of a scalar feature by `meta/stats.json`; -1 where that does not say."""
         path = self.root / "meta/stats.json"
         statistics = read_json(path).get(feature) if path.exists() else None
-        most = np.ravel((statistics or {}).get("max", []))
-        return int(most.max()) if most.size and most.dtype.kind in "iuf" and np.isfinite(most).all() else -1
+        most = statistics.get("max") if isinstance(statistics, dict) else None
+        numbers: list[Any] = most if isinstance(most, list) else [most]
+        known = [value for value in numbers if is_whole(value) or isinstance(value, float)]
+        largest = max(known, default=math.nan) if len(known) == len(numbers) else math.nan
+        return int(largest) if is_whole(largest) or math.isfinite(largest) else -1
 
     def locate(self, episodes: Sequence[StoredEpisode]) -> Rows:
         """The rows of the episodes' frames."""
         return Rows.locate(self.root, episodes)
+
+    def stamps(
+        self, episodes: Sequence[StoredEpisode], rows: Rows | None = None
+    ) -> Float64[np.ndarray, " frames"]:
+        """The `timestamp` of every frame, in seconds; arguments and errors as of `columns`."""
+        found = self.scalars(["timestamp"], episodes, rows)["timestamp"].astype(np.float64)
+        if not np.isfinite(found).all():
+            raise DatasetError(f"dataset {self.root}: timestamp is not finite somewhere; write seconds")
+        return found
+
+    def scalars(
+        self, names: Sequence[str], episodes: Sequence[StoredEpisode], rows: Rows | None = None
+    ) -> dict[str, np.ndarray]:
+        """Columns of one number a frame, as [frames]; arguments and errors as of `columns`."""
+        rows = self.locate(episodes) if rows is None else rows
+        found = self.columns(names, episodes, rows)
+        for name, values in found.items():
+            if values.size != rows.lengths.sum() or values.dtype.kind not in "biuf":
+                raise DatasetError(f"dataset {self.root}: {name} is not one number a frame; write one")
+        return {name: values.reshape(-1) for name, values in found.items()}
 
     def columns(
         self, names: Sequence[str], episodes: Sequence[StoredEpisode], rows: Rows | None = None
@@ -161,6 +174,10 @@ class StoredDataset:
         back = np.argsort(np.concatenate([part.places for part in rows.parts]))
         for name, of_parts in pieces.items():
             shapes = {piece.shape[1:] for piece in of_parts}
+            if len({piece.dtype.kind == "O" for piece in of_parts}) > 1:
+                raise DatasetError(
+                    f"dataset {self.root}: {name} is text in one file and numbers in another; store one kind"
+                )
             if len(shapes) > 1:
                 raise DatasetError(
                     f"dataset {self.root}: {name} has {' and '.join(map(str, sorted(shapes)))} numbers "
@@ -197,6 +214,10 @@ def _check_totals(root: Path, info: dict[str, Any], episodes: list[StoredEpisode
 def _typed(named: dict[str, dict[str, Any]], episodes: list[StoredEpisode]) -> dict[str, dict[str, Any]]:
     """The features, each with a type: that of the data where info.json names none."""
     untyped = [name for name, feature in named.items() if not isinstance(feature.get("dtype"), str)]
+    named = {
+        name: {key: value for key, value in feature.items() if key != "dtype" or name not in untyped}
+        for name, feature in named.items()
+    }
     first = next((one.data for one in episodes if one.data is not None and one.data.is_file()), None)
     if not untyped or first is None:
         return {name: {"dtype": "", **feature} for name, feature in named.items()}

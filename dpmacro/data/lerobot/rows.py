@@ -114,6 +114,9 @@ def _scan(
     numbers = np.arange(len(table))
     whole = [name for name in names if name == "episode_index" or not table[name].null_count]
     columns = {name: to_numpy(table[name], f"{path}: {name}", numbers).reshape(-1) for name in whole}
+    for name, values in columns.items():
+        if len(values) != len(numbers) or values.dtype.kind not in "biuf":
+            raise DatasetError(f"{path}: {name} is not one number a row; write one")
     order = np.argsort(columns["episode_index"], kind="stable")
     frame = columns.get("frame_index", numbers if names == whole else np.zeros_like(numbers))
     for index in indices:

@@ -12,9 +12,11 @@ import pyarrow.parquet as pq
 from jaxtyping import Int64
 
 from dpmacro.data.images import DatasetError
+from dpmacro.utils.checks import in_a_line, shown
 
 __all__ = [
     "column_names",
+    "is_file",
     "read_batches",
     "read_json",
     "read_json_lines",
@@ -25,6 +27,7 @@ __all__ = [
     "to_pixels",
 ]
 
+MOST_ROWS = 2**24  # of a file; a kilobyte may claim more, all alike, and they would fill memory
 BATCH = 512  # rows of images that are held encoded, where row groups are not larger
 HALF_COPIED = "the dataset is half-copied or half-written"
 _LISTS = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
@@ -45,6 +48,14 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
         if not isinstance(row, dict):
             raise DatasetError(f"{path}: object {number} is a {type(row).__name__}; record the dataset again")
     return rows
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; false for a name that no file can have."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def column_names(path: Path) -> list[str]:
@@ -210,17 +221,23 @@ def _starts(file: pq.ParquetFile) -> Int64[np.ndarray, " groups_and_one"]:
 
 
 def _open(path: Path) -> pq.ParquetFile:
-    if not path.is_file():
+    if not is_file(path):
         raise DatasetError(f"{path}: is missing; {HALF_COPIED}")
     try:
-        return pq.ParquetFile(path)
-    except (OSError, pa.ArrowException) as error:
+        file = pq.ParquetFile(path)
+        names = file.schema_arrow.names
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise _damaged(path, error) from error
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise DatasetError(f"{path}: has the column {shown(twice)} twice; write it once")
+    if file.metadata.num_rows > MOST_ROWS:
+        raise DatasetError(f"{path}: has {file.metadata.num_rows} rows; write {MOST_ROWS} a file at most")
+    return file
 
 
 def _damaged(path: Path, error: Exception) -> DatasetError:
-    reason = str(error).splitlines()[0]
-    return DatasetError(f"{path}: half-written or damaged ({reason}); record the dataset again")
+    return DatasetError(f"{path}: half-written or damaged ({in_a_line(error)}); record the dataset again")
 
 
 def _text_of(path: Path) -> str:
@@ -237,5 +254,7 @@ def _text_of(path: Path) -> str:
 def _parsed(path: Path, text: str) -> Any:
     try:
         return json.loads(text)
+    except RecursionError as error:
+        raise DatasetError(f"{path}: has too many lists within lists; record the dataset again") from error
     except ValueError as error:
-        raise DatasetError(f"{path}: is not JSON ({error}); record the dataset again") from error
+        raise DatasetError(f"{path}: is not JSON ({in_a_line(error)}); record the dataset again") from error
