@@ -26,7 +26,7 @@ VIEW = "observation.images.view"
 
 @contextmanager
 def writing_runs(
-    root: Path, world: Mapping[str, Any], told: Recording, noise: float = 0.0
+    root: Path, world: Mapping[str, Any], told: Recording, noise: float = 0.0, building: Path | None = None
 ) -> Iterator["RunWriter"]:
     """A writer of a new dataset, which is in `root`, and complete, once the block has been left.
 
@@ -38,11 +38,15 @@ def writing_runs(
         world: {"id": of the world, **its options}, kept in `meta/dpmacro.json`.
         told: what recordings of the world say; truth, its names and the symmetry are kept there as well.
         noise: of the actions done, kept there likewise.
+        building: a folder that does not exist, on the same disk, to write in before `root` is there; by
+            default a hidden one beside it.
     """
     root = root.absolute()
     _refuse_existing(root)
     root.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".partial", dir=root.parent))
+    if building is None:
+        building = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".partial", dir=root.parent))
+    folder = building
     writer = RunWriter(folder / "dataset", told)
     try:
         yield writer
