@@ -162,7 +162,7 @@ def main(options: AnnotateOptions) -> None:
     root = options.dataset.root
     assert root is not None, "the options checked it"
     output_dir = options.output_dir or default_output_dir(root)
-    if (output_dir / NUMBERS).exists() and not (output_dir / UNFINISHED).exists():
+    if (output_dir / NUMBERS).exists() and is_complete(output_dir, options.output):
         raise ValueError(f"{output_dir} already holds a {NUMBERS}: give another --output_dir")
     if options.rerun:
         require_rerun()
@@ -219,6 +219,13 @@ def main(options: AnnotateOptions) -> None:
     print(f"pictures    {output_dir / 'figures'}")
     if options.rerun:
         print(f"recordings  {output_dir / RECORDINGS} (rerun {output_dir / RECORDINGS}/*.rrd)")
+
+
+def is_complete(output_dir: Path, output: Path | None) -> bool:
+    """Whether nothing is left to do for the page in a folder and the new dataset: that has its name last."""
+    return not (output_dir / UNFINISHED).exists() or (
+        output is not None and (output / "meta/info.json").exists()
+    )
 
 
 def begin_page(output_dir: Path) -> None:

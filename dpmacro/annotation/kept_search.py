@@ -18,7 +18,7 @@ from dpmacro.utils.files import replacing
 __all__ = ["Kept", "KeptSearch", "dataset_digest"]
 
 ASKED, FOUND = "search.json", "found.safetensors"
-TENSORS = {"labels": ("I64", 1), "confidence": ("F32", 1), "cost_by_bound": ("F64", 2)}
+TENSORS = {"labels": (("I64",), 1), "confidence": (("F32",), 1), "cost_by_bound": (("F32", "F64"), 2)}
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class KeptSearch:
         self._place = folder / ASKED
         self._asked = dict(_flat(json.loads(json.dumps(options))))
         self._asked["content of dataset.root"] = dataset_digest(root) if root.is_dir() else None
-        if labels is not None:
+        if labels is not None and labels.is_file():
             self._asked["content of dataset.labels"] = hashlib.sha256(labels.read_bytes()).hexdigest()
         if self._place.exists():
             self._refuse_other()
@@ -79,16 +79,19 @@ class KeptSearch:
             return None
         try:
             with safe_open(path, "pt") as file:
-                notes = json.loads(file.metadata()["notes"])
-                for name, (kind, dims) in TENSORS.items():
+                digest, notes = file.metadata()["digest"], json.loads(file.metadata()["notes"])
+                for name, (kinds, dims) in TENSORS.items():
                     part = file.get_slice(name)
                     sizes = part.get_shape()
                     wanted = trajectories if name == "cost_by_bound" else frames
-                    if len(sizes) != dims or sizes[0] != wanted or part.get_dtype() not in (kind, "F32"):
+                    if len(sizes) != dims or sizes[0] != wanted or part.get_dtype() not in kinds:
                         raise ValueError(f"{name} has the shape {sizes}")
             if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
                 raise ValueError("its notes are no texts")
-            return Kept(Annotation(**load_file(path)), tuple(notes))
+            annotation = Annotation(**load_file(path))
+            if _digest(annotation) != digest:
+                raise ValueError("its numbers are not those that were written")
+            return Kept(annotation, tuple(notes))
         except (RecursionError, SafetensorError, LookupError, TypeError, ValueError, OSError) as error:
             reason = " ".join(str(error).split())
             raise ValueError(f"{path} cannot be read ({reason}): give another --output_dir") from error
@@ -105,7 +108,7 @@ class KeptSearch:
         found = kept.annotation
         tensors = {name: getattr(found, name).cpu().contiguous() for name in TENSORS}
         with replacing(self.training / FOUND) as path:
-            save_file(tensors, path, {"notes": json.dumps(list(kept.notes))})
+            save_file(tensors, path, {"notes": json.dumps(list(kept.notes)), "digest": _digest(found)})
 
     def _refuse_other(self) -> None:
         try:
@@ -129,6 +132,13 @@ def _flat(groups: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield from ((f"{name}.{one}", own) for one, own in value.items())
         else:
             yield name, value
+
+
+def _digest(found: Annotation) -> str:
+    digest = hashlib.sha256()
+    for name in TENSORS:
+        digest.update(getattr(found, name).cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def dataset_digest(root: Path) -> str:

@@ -56,6 +56,7 @@ def writing_runs(
         about = {"world": dict(world), "truth": told.truth, "symmetric": told.symmetric}
         about |= {"noise": noise} if noise else {}
         (folder / "dataset" / WORLD_FILE).write_text(json.dumps(about, indent=2) + "\n")
+        _sort_statistics(folder / "dataset/meta/stats.json")
         shutil.rmtree(folder / "dataset/images", ignore_errors=True)  # LeRobot leaves an empty one behind
         _refuse_existing(root)
         (folder / "dataset").rename(root)
@@ -162,6 +163,13 @@ def _features(run: Run, told: Recording) -> dict[str, dict[str, Any]]:
         "next.done": {"dtype": "bool", **number},
         "next.success": {"dtype": "bool", **number},
     }
+
+
+def _sort_statistics(path: Path) -> None:
+    """Put the features of LeRobot's statistics into an order: theirs is another one in every process."""
+    statistics = json.loads(path.read_text(encoding="utf-8"))
+    ordered = {name: statistics[name] for name in sorted(statistics)}
+    path.write_text(json.dumps(ordered, indent=4, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def _refuse_existing(root: Path) -> None:
