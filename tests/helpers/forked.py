@@ -10,11 +10,19 @@ from pathlib import Path
 _CONTEXT = multiprocessing.get_context("forkserver")
 PRELOADED = [
     "forked",
-    "dpmacro.data.lerobot.compat",
+    "dpmacro.annotation.exports.dataset",
+    "dpmacro.annotation.page.write",
+    "dpmacro.annotation.recordings",
+    "dpmacro.annotation.report",
     "dpmacro.evaluation.result",
     "dpmacro.evaluation.videos",
     "dpmacro.training.trainer",
     "dpmacro.worlds.two_places",
+    "h5py",
+    "lerobot.datasets.lerobot_dataset",
+    "pandas",
+    "scipy.ndimage",
+    "scipy.stats",
 ]
 
 

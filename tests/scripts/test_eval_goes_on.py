@@ -4,6 +4,7 @@ import json
 import resource
 import shutil
 
+import numpy as np
 import pytest
 from reaching import Reach, constant_policy
 
@@ -147,8 +148,10 @@ def test_a_run_that_cannot_be_repeated_gets_no_video(
 
     def farther(world, *, seed=None, options=None):
         seen, info = reset(world, seed=seed)
-        world.place[0] -= 5 * (seed == 10001)
-        return (world._see(), info) if seed == 10001 else (seen, info)
+        if seed == 10001:
+            world.place[0], seen = 0.0, {"agent_pos": np.array([0.0, 0.0, 1.0])}
+            world.goal = 9.0
+        return seen, info
 
     monkeypatch.setattr(Reach, "reset", farther)
     with pytest.raises(SystemExit) as exit_:
