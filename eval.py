@@ -136,11 +136,12 @@ def finish(
             kept.add(episode)
     except (ValueError, OSError, KeyboardInterrupt) as error:
         kept.drop_if_empty()
-        told = f"the {len(kept.episodes)} runs before it are kept in {kept.path}"
         if isinstance(error, WorldError) and kept.episodes:
+            told = f"the {len(kept.episodes)} runs before it are kept in {kept.path}"
             raise ValueError(f"{error}; {told}") from error
         if kept.episodes:
-            print(f"{told}: with --output_dir={kept.path.parent} the same command goes on", file=sys.stderr)
+            told = f"{len(kept.episodes)} of {len(seeds)} runs are kept in {kept.path}"
+            print(f"{told}: the same command with --output_dir={kept.path.parent} goes on", file=sys.stderr)
         raise
 
 

@@ -173,9 +173,13 @@ def killed(
             if status is None and row.kills == kills:
                 raise ValueError(f"{name} did not come to its end in {PATIENCE} s: see {here}.log")
             if status is None:
-                os.killpg(running.pid, signal.SIGKILL)
-                running.wait(PATIENCE)
-                row.kills += 1
+                try:
+                    os.killpg(running.pid, signal.SIGKILL)
+                except ProcessLookupError:  # it has just come to its end by itself
+                    status = running.wait(PATIENCE)
+                else:
+                    running.wait(PATIENCE)
+                    row.kills += 1
             left, before = work.whole(here), kept
             if status not in (None, 0) and left.keys() != wanted.keys():
                 raise ValueError(f"{name} ended with status {status}: see {here}.log")

@@ -28,8 +28,8 @@ class Journal:
         about: what the work is, as JSON holds it.
         remedy: what to do instead, for the error where the file is of other work.
 
-    Raises ValueError, one line, where the file is damaged, larger than `LARGEST`, or of other work; and
-    OSError where it cannot be read or made.
+    Raises ValueError, one line, where the file is damaged, larger than `LARGEST`, or of other work that some
+    was done of; and OSError where it cannot be read or made.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Any], remedy: str) -> None:
@@ -43,13 +43,15 @@ class Journal:
                 raise ValueError(f"{path}: has more than {LARGEST:,} bytes, which no run writes; {remedy}")
             text = path.read_bytes()
         self._size = text.rfind(b"\n") + 1  # what is behind the last line's end was written in part
-        if self._size == 0:
-            with replacing(path) as temporary:
-                temporary.write_bytes(_line(about))
-            self._size = len(_line(about))
-            return
-        first, *self.lines = (self._read(*numbered) for numbered in enumerate(_split(text[: self._size]), 1))
-        self._refuse_other(about, first)
+        if self._size:
+            numbered = enumerate(_split(text[: self._size]), 1)
+            first, *self.lines = (self._read(number, line) for number, line in numbered)
+            if self.lines:
+                self._refuse_other(about, first)
+                return
+        with replacing(path) as temporary:  # nothing was done yet
+            temporary.write_bytes(_line(about))
+        self._size = len(_line(about))
 
     def add(self, line: Mapping[str, Any]) -> None:
         """Append a line. Where it raises OSError, the lines before it stay as they are."""

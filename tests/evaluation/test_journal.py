@@ -69,6 +69,14 @@ def test_other_work_is_refused(tmp_path, now, message):
     assert "\n" not in str(raised.value) and (tmp_path / "runs.jsonl").read_bytes() == before
 
 
+def test_work_of_which_nothing_was_done_is_no_hindrance(tmp_path):
+    opened(tmp_path / "runs.jsonl")
+    opened(tmp_path / "runs.jsonl", {"seed": 8}).add({"run": 1})
+    assert opened(tmp_path / "runs.jsonl", {"seed": 8}).lines == [{"run": 1}]
+    with pytest.raises(ValueError, match="was begun with seed 8"):
+        opened(tmp_path / "runs.jsonl")
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [

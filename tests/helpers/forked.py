@@ -32,9 +32,11 @@ class Forked:
     def __init__(self, options, folder):
         _CONTEXT.set_forkserver_preload(PRELOADED)
         log = folder.with_name(f"{folder.name}.log")
-        self._process = _CONTEXT.Process(target=_run, args=([*options], str(folder), str(log)))
+        grouped, told = _CONTEXT.Pipe(duplex=False)
+        self._process = _CONTEXT.Process(target=_run, args=([*options], str(folder), str(log), told))
         self._process.start()
         self.pid = self._process.pid
+        assert grouped.recv()
 
     def wait(self, timeout):
         """The exit status; None where it still runs after so many seconds."""
@@ -42,8 +44,10 @@ class Forked:
         return self._process.exitcode
 
 
-def _run(options, folder, log):
+def _run(options, folder, log, told):
     os.setsid()
+    told.send(True)
+    told.close()
     os.chdir(folder)
     output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(output, 1)

@@ -332,7 +332,7 @@ def test_runs_before_an_interrupt_are_kept(script, reach, tmp_path, monkeypatch,
         call(script, monkeypatch, f"--policy.path={reach}", f"--output_dir={tmp_path / 'out'}")
     assert exit_.value.code == 130
     assert seeds_in(tmp_path / "out") == [10000, 10001]
-    assert f"with --output_dir={tmp_path / 'out'} the same command goes on" in capsys.readouterr().err
+    assert f"the same command with --output_dir={tmp_path / 'out'} goes on" in capsys.readouterr().err
 
 
 def test_an_error_before_the_first_run_leaves_no_folder(script, reach, tmp_path, monkeypatch, capsys):
