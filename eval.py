@@ -8,40 +8,41 @@ The world is any that gymnasium knows; without --world.id it is the one that the
 Prints successes, their rate with its 95% interval, what told success, how the failures split and why they
 failed, and writes the same to `eval_info.json` in LeRobot's form, TensorBoard scalars beside it. Where a
 world tells its state, a run that begins to repeat itself ends there, as the failure that it is, and counts
-its steps until then; a policy with recovery goes on. Where the evaluation ends early, the runs done so far
-are kept in `eval_info.partial.json`.
+its steps until then; a policy with recovery goes on.
+
+Every finished run is kept in `runs.jsonl` at once. Where an evaluation was stopped, the same command with the
+same --output_dir goes on with the other runs; with --videos it makes videos of an evaluation that is over.
 """
 
 if __name__ in ("__main__", "__mp_main__"):
     import dpmacro.utils.starting  # noqa: F401  Ctrl-C during the imports below is one line
 
 import json
-import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, suppress
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from datetime import datetime
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes, replay
+from dpmacro.evaluation.kept_episodes import RUNS, KeptEpisodes, policy_digest
+from dpmacro.evaluation.rollouts import PlannerSource, RepeatError, as_before, iter_episodes, replay
 from dpmacro.evaluation.stage import Stage
-from dpmacro.metrics.success import SuccessSummary, success_summary
+from dpmacro.metrics.success import SuccessSummary
 from dpmacro.utils import cli
 from dpmacro.utils.claims import claimed
-from dpmacro.utils.files import replacing
-from dpmacro.worlds import DEFAULT, RECORDINGS, diagnosis_of, entry_of, recording_of
+from dpmacro.worlds import DEFAULT, RECORDINGS, entry_of, recording_of
 from dpmacro.worlds.base import Episode, Moment, WorldError
 from dpmacro.worlds.making import WorldOptions, complete
 
 # Every worker process imports this file again: what only the parent needs is imported where it is used.
 
 VIDEO_EVERY, LONG = 4, 300  # steps that a video shows as one frame, of runs with more steps than that
-PARTIAL = "eval_info.partial.json"
 LARGEST = 2**32 - 1  # of options that are counts, and of seeds
+INFO, RESULTS = "eval_info.json", "the results"
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,7 @@ class EvalOptions:
 
 def main(options: EvalOptions) -> None:
     """Run the planner in its world; print how it fared, and write it down."""
+    from dpmacro.evaluation.result import Result
     from dpmacro.evaluation.summary import write_scalars
     from dpmacro.utils.hparams import write_row
 
@@ -102,82 +104,73 @@ def main(options: EvalOptions) -> None:
         print(line)
     output_dir = options.output_dir or default_output_dir(options.job_name or name)
     cli.hold(claimed(output_dir))
-    if (output_dir / "eval_info.json").exists():
-        raise ValueError(f"{output_dir} already holds an eval_info.json: give another --output_dir")
-    output_dir.mkdir(parents=True, exist_ok=True)
-    ran = {
-        "planner": name,
-        "policy_path": source.path and str(source.path),
-        "recovery": bool(source.recovery),
-        "world": world,
-    }
-
-    started = time.perf_counter()
+    place, over = output_dir / INFO, (output_dir / INFO).exists()
+    if over and not (options.videos and (output_dir / RUNS).exists()):
+        raise ValueError(f"{output_dir} already holds an {INFO}: give another --output_dir")
+    runs: dict[str, Any] = {"planner": name, "recovery": bool(source.recovery), "world": world}
+    ran = {**runs, "policy_path": source.path and str(source.path)}
+    runs |= {"policy": policy_digest(source.path), "seed": options.seed, "episodes": options.episodes}
     seeds = range(options.seed, options.seed + options.episodes)
-    episodes: list[Episode] = []
-    try:
-        for episode in run(source, world, seeds, options.workers):
-            episodes.append(episode)  # noqa: PERF402  so that those before an error are kept
-    except (ValueError, OSError, KeyboardInterrupt) as error:
-        kept = keep_partial(output_dir, ran, episodes, options.episodes, time.perf_counter() - started)
-        if isinstance(error, WorldError) and kept:
-            raise ValueError(f"{error}; {kept}") from error
-        raise
-    result = Result(world["id"], episodes, time.perf_counter() - started)
+    kept = KeptEpisodes(output_dir, runs, seeds)
+    if kept.earlier:
+        print(f"goes on     {kept.earlier} of {len(seeds)} runs are kept in {kept.path}")
+    finish(kept, source, world, seeds, options.workers)
+    result = Result(world["id"], kept.episodes, kept.seconds)
 
-    write_scalars(result.write(output_dir / "eval_info.json", ran)["overall"], output_dir / "tensorboard")
-    write_row(output_dir / "tensorboard", compared(options, ran), scores(result.summary, source))
-    (output_dir / PARTIAL).unlink(missing_ok=True)
-    print(result.text())
+    def write_events() -> None:
+        events = output_dir / "tensorboard"
+        write_scalars(result.info(ran)["overall"], events)
+        write_row(events, compared(options, ran), scores(result.summary, source))
+
+    steps: dict[str, Callable[[], None]] = {RESULTS: lambda: print(result.text(), flush=True)}
+    if not over:  # the file says that an evaluation is over: it is the last
+        steps |= {"tensorboard": write_events, INFO: lambda: result.write(place, ran)}
+    each(steps, kept)
     if options.videos:  # which take their time, and may be interrupted
         folder = output_dir / "videos" / f"{world['id'].replace('/', '_').replace(':', '_')}_0"
-        videos = write_videos(source, world, episodes, options.videos, folder, action_names)
-        result.write(output_dir / "eval_info.json", ran, videos)
+        videos, others = write_videos(source, world, kept.episodes, options.videos, folder, action_names)
+        result.write(place, ran, videos)
+        if others:
+            raise ValueError("; ".join(others))
     print(f"written to  {output_dir}")
 
 
-@dataclass(frozen=True)
-class Result:
-    """The runs of an evaluation and how long they took."""
+def finish(
+    kept: KeptEpisodes, source: PlannerSource, world: dict[str, Any], seeds: Sequence[int], workers: int
+) -> None:
+    """Run the seeds that are not kept yet. Where that ends early, a line says what is kept."""
+    try:
+        for episode in run(source, world, seeds, workers, kept.episodes):
+            kept.add(episode)
+    except (ValueError, OSError, KeyboardInterrupt) as error:
+        kept.drop_if_empty()
+        if isinstance(error, WorldError) and kept.episodes:
+            told = f"the {len(kept.episodes)} runs before it are kept in {kept.path}"
+            raise ValueError(f"{error}; {told}") from error
+        if kept.episodes:
+            told = f"{len(kept.episodes)} of {len(seeds)} runs are kept in {kept.path}"
+            print(f"{told}: the same command with --output_dir={kept.path.parent} goes on", file=sys.stderr)
+        raise
 
-    world: str
-    episodes: list[Episode]
-    seconds: float
 
-    @cached_property
-    def summary(self) -> SuccessSummary:
-        """Counts of how they ended."""
-        return success_summary(
-            [episode.outcome for episode in self.episodes],
-            [int(episode.phases[-1]) for episode in self.episodes],
-            [int(episode.macros[-1]) for episode in self.episodes],
-        )
-
-    @cached_property
-    def causes(self) -> list[str]:
-        """Why each failed."""
-        return diagnosis_of(self.world).causes(self.episodes)
-
-    def text(self) -> str:
-        """For people."""
-        from dpmacro.evaluation.summary import run_notes, run_text
-
-        loops = sum(episode.loop > 0 for episode in self.episodes)
-        return "\n".join(
-            [run_text(self.summary, self.seconds, self.causes, loops), *run_notes(self.episodes)]
-        )
-
-    def write(self, place: Path, ran: dict[str, Any], videos: Sequence[str] = ()) -> dict[str, Any]:
-        """Write the file, `ran` in our section; return what it holds."""
-        from dpmacro.evaluation.summary import eval_info
-
-        events = diagnosis_of(self.world).events(self.episodes)
-        about = self.summary, self.causes, events, self.seconds
-        info = eval_info(self.world, self.episodes, *about, videos)
-        info["dpmacro"] |= ran
-        with replacing(place) as path:
-            path.write_text(json.dumps(info, indent=2) + "\n")
-        return info
+def each(steps: Mapping[str, Callable[[], None]], kept: KeptEpisodes) -> None:
+    """Take every step, though others fail; then raise OSError, one line, for what was not written."""
+    failed: dict[str, Exception] = {} if kept.unwritten is None else {RUNS: kept.unwritten}
+    for name, step in steps.items():
+        try:
+            step()
+        except (OSError, ValueError) as error:
+            failed[name] = error
+    lost = [name for name in failed if name != RESULTS]
+    if lost:
+        folder = kept.path.parent
+        reasons = dict.fromkeys(getattr(failed[name], "strerror", None) or str(failed[name]) for name in lost)
+        remedy = "all else is there"
+        if INFO in lost:
+            remedy = f"mend that, and run the same command with --output_dir={folder}: it goes on from {RUNS}"
+        raise OSError(f"not written to {folder}: {', '.join(lost)} ({'; '.join(reasons)}); {remedy}")
+    if failed:
+        raise failed[RESULTS]
 
 
 def compared(options: EvalOptions, ran: dict[str, Any]) -> dict[str, Any]:
@@ -196,22 +189,6 @@ def scores(summary: SuccessSummary, source: PlannerSource) -> dict[str, float]:
     low, high = summary.interval
     known = read_scores(source.path) if source.path is not None else {}
     return {"success": summary.rate, "success_low": low, "success_high": high} | known
-
-
-def keep_partial(
-    output_dir: Path, ran: dict[str, Any], episodes: list[Episode], wanted: int, seconds: float
-) -> str:
-    """Keep the runs of an evaluation that ends early, in a file that is not taken for a whole one.
-
-    Returns where they are, "" where there are none; then a folder that holds nothing goes as well.
-    """
-    if not episodes:
-        with suppress(OSError):  # it holds something
-            output_dir.rmdir()
-        return ""
-    place = output_dir / PARTIAL
-    Result(ran["world"]["id"], episodes, seconds).write(place, ran | {"wanted_episodes": wanted})
-    return f"the {len(episodes)} runs before it are kept in {place}"
 
 
 def planner(options: PolicyOptions) -> tuple[PlannerSource, str, dict[str, Any], tuple[str, ...]]:
@@ -257,15 +234,21 @@ def default_output_dir(job_name: str) -> Path:
 
 
 def run(
-    source: PlannerSource, world: dict[str, Any], seeds: Sequence[int], workers: int
+    source: PlannerSource,
+    world: dict[str, Any],
+    seeds: Sequence[int],
+    workers: int,
+    before: Sequence[Episode] = (),
 ) -> Iterator[Episode]:
-    """The runs of all seeds, with a progress bar that shows the success rate so far."""
-    successes = 0
+    """The runs of the seeds after those of `before`, with a progress bar that shows the success rate."""
+    successes, start = sum(episode.success for episode in before), len(before)
+    if start == len(seeds):
+        return
     with (
-        closing(iter_episodes(source, world, seeds, workers)) as running,
-        tqdm(running, "Evaluating", len(seeds), unit="run") as bar,
+        closing(iter_episodes(source, world, seeds[start:], workers)) as running,
+        tqdm(running, "Evaluating", len(seeds), initial=start, unit="run") as bar,
     ):
-        for done, episode in enumerate(bar, 1):
+        for done, episode in enumerate(bar, start + 1):
             successes += episode.success
             bar.set_postfix_str(f"success {successes / done:.0%}")
             yield episode
@@ -278,22 +261,30 @@ def write_videos(
     count: int,
     folder: Path,
     action_names: Sequence[str] = (),
-) -> list[str]:
-    """Replay up to `count` runs, failed ones first, into MP4s; their paths."""
+) -> tuple[list[str], list[str]]:
+    """Replay up to `count` runs, failed ones first, into MP4s, but for those that are there.
+
+    Returns the paths of those, and what is wrong with runs that were others when they were repeated.
+    """
     from dpmacro.evaluation.videos import write_run
 
     names = action_names
     if not names and entry_of(RECORDINGS, world["id"]):
         names = recording_of(world["id"]).actions
     chosen = sorted(range(len(episodes)), key=lambda index: episodes[index].success)[:count]
-    paths = [folder / f"eval_episode_{index}.mp4" for index in chosen]
-    steps = sum(episodes[index].steps for index in chosen)
-    with tqdm(desc="Writing videos", total=steps, unit="step") as bar:
-        for index, path in zip(chosen, paths, strict=True):
-            every = VIDEO_EVERY if episodes[index].steps > LONG else 1
-            with closing(replay(source, world, episodes[index].seed, every)) as moments:
-                write_run(path, counted(moments, bar), names)
-    return [str(path) for path in paths]
+    paths = {index: folder / f"eval_episode_{index}.mp4" for index in chosen}
+    missing = [index for index, path in paths.items() if not path.exists()]
+    wrong: dict[int, str] = {}
+    with tqdm(desc="Writing videos", total=sum(episodes[i].steps for i in missing), unit="step") as bar:
+        for index in missing:
+            episode = episodes[index]
+            every = VIDEO_EVERY if episode.steps > LONG else 1
+            with closing(replay(source, world, episode.seed, every)) as moments:
+                try:
+                    write_run(paths[index], counted(as_before(moments, episode), bar), names)
+                except RepeatError as error:
+                    wrong[index] = f"no video: {error}"
+    return [str(path) for index, path in paths.items() if index not in wrong], list(wrong.values())
 
 
 def counted(moments: Iterable[Moment], bar: tqdm) -> Iterator[Moment]:

@@ -7,7 +7,8 @@
 Without a policy the stages are found first, as train.py finds them, and their number is chosen by the data.
 Every frame gets the stage under which the classifiers explain the actions best, with the whole demonstration
 known. The new dataset has all that the old one has, and the stages in the formats that the installed LeRobot
-reads; it has its name once the page is there, and a run that was stopped is gone on with by the same command.
+reads; it has its name once the page is there. A run that was stopped is gone on with by the same command and
+the same --output_dir: stages that were found are not searched again, and a part of a search is made anew.
 The page `segmentation.html` shows every demonstration, and people correct it there, in as many rounds as they
 like; `segmentation.json` holds numbers, `figures/` and TensorBoard events pictures, `rerun/` recordings for
 Rerun where --rerun=true asks for them. Where the dataset has a column of true labels, the agreement with it
@@ -17,42 +18,42 @@ is printed.
 if __name__ in ("__main__", "__mp_main__"):
     import dpmacro.utils.starting  # noqa: F401  Ctrl-C during the imports below is one line
 
-from collections import Counter
-from collections.abc import Sequence
+import shutil
 from contextlib import nullcontext
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
 from dpmacro.annotation.annotate import Annotation, annotate
 from dpmacro.annotation.corrections import Corrections
 from dpmacro.annotation.exports.dataset import writing_labels
-from dpmacro.annotation.exports.folders import refuse_places, refuse_unwritable
+from dpmacro.annotation.exports.folders import refuse_places, refuse_unwritable, refuse_within
 from dpmacro.annotation.exports.formats import FORMATS
 from dpmacro.annotation.exports.labelling import check_episodes, open_for_labels
+from dpmacro.annotation.found import found_text
 from dpmacro.annotation.idle import idle_frames, moving_columns
-from dpmacro.annotation.naming import StageName, checked_names, stage_names
+from dpmacro.annotation.kept_search import Kept, KeptSearch
+from dpmacro.annotation.naming import checked_names, stage_names
 from dpmacro.annotation.pictures import picture_count, pictures
 from dpmacro.annotation.recordings import require_rerun, write_recordings
 from dpmacro.annotation.report import NUMBERS, PAGE, SHOWN, score_text, stages_of, write_report
-from dpmacro.annotation.stages import Stages
 from dpmacro.annotation.summary import Summary
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
 from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
-from dpmacro.training.run_folder import RunFolder
+from dpmacro.training.run_folder import RunFolder, plain_options
 from dpmacro.training.trainer import Trainer
 from dpmacro.utils import cli
 from dpmacro.utils.claims import claimed
 from dpmacro.utils.files import telling_what_is_safe
 
 RECORDINGS = "rerun"  # a folder beside the page
+UNFINISHED = ".unfinished"  # a file beside the page, while that, or the new dataset, is not complete
 # Options of a training's data, which a policy has had.
 POLICYS_OWN = ("inputs", "camera", "action_relative", "image_size", "symmetric", "labels")
 
@@ -166,7 +167,7 @@ def main(options: AnnotateOptions) -> None:
     root = options.dataset.root
     assert root is not None, "the options checked it"
     output_dir = options.output_dir or default_output_dir(root)
-    if (output_dir / NUMBERS).exists():
+    if (output_dir / NUMBERS).exists() and is_complete(output_dir, options.output):
         raise ValueError(f"{output_dir} already holds a {NUMBERS}: give another --output_dir")
     if options.rerun:
         require_rerun()
@@ -205,11 +206,13 @@ def main(options: AnnotateOptions) -> None:
     )
     made, count = pictures(summary, SHOWN), picture_count(summary, SHOWN)
     with labels as written, tqdm(made, "Pictures", count, unit="picture") as bar:
+        begin_page(output_dir)
+        if options.rerun:
+            write_recordings(output_dir / RECORDINGS, demonstrations, stages, options.page.frames)
         write_report(
             summary, iter(bar), output_dir, found, options.page.frames, reasons=reasons, corrections=earlier
         )
-    if options.rerun:
-        write_recordings(output_dir / RECORDINGS, demonstrations, stages, options.page.frames)
+    (output_dir / UNFINISHED).unlink()
     for place, note in enumerate(segmented.notes):
         print(f"{'' if place else 'data':<11} {note}")
     print("\n".join(found_text(stages, named)))
@@ -223,6 +226,22 @@ def main(options: AnnotateOptions) -> None:
     print(f"pictures    {output_dir / 'figures'}")
     if options.rerun:
         print(f"recordings  {output_dir / RECORDINGS} (rerun {output_dir / RECORDINGS}/*.rrd)")
+
+
+def is_complete(output_dir: Path, output: Path | None) -> bool:
+    """Whether nothing is left to do for the page in a folder and the new dataset: that has its name last."""
+    return not (output_dir / UNFINISHED).exists() or (
+        output is not None and (output / "meta/info.json").exists()
+    )
+
+
+def begin_page(output_dir: Path) -> None:
+    """Mark the folder as unfinished; where it was so, recordings go, which are made anew."""
+    mark = output_dir / UNFINISHED
+    if mark.exists():
+        shutil.rmtree(output_dir / RECORDINGS, ignore_errors=True)
+    output_dir.mkdir(parents=True, exist_ok=True)
+    mark.touch()
 
 
 def by_policy(options: AnnotateOptions) -> Segmented:
@@ -251,63 +270,51 @@ def check_output(options: AnnotateOptions, demonstrations: Demonstrations) -> No
 
 def trained(options: AnnotateOptions, output_dir: Path, corrections: Corrections | None) -> Segmented:
     """Find the stages as train.py does; the confidence is that of classifiers that never saw a frame."""
-    dataset, planner = options.dataset, options.planner
-    demonstrations = read_demonstrations(dataset, planner.memory_limit)
+    dataset = options.dataset
+    assert dataset.root is not None, "the options checked it"
+    search = KeptSearch(output_dir, plain_options(asked(options)), dataset.root, dataset.labels)
+    demonstrations = read_demonstrations(dataset, options.planner.memory_limit)
     check_output(options, demonstrations)
     if corrections is not None:  # before a search, which takes longer
         corrections.check(demonstrations.numbers, demonstrations.lengths, demonstrations.fps)
+    lengths = demonstrations.lengths
+    kept = search.found(int(lengths.sum()), len(lengths))
+    if kept is not None:
+        print(f"goes on     with the stages that were found in {search.training}")
+    else:
+        if search.begun:
+            print(f"goes on     anew with the search in {search.training}, which was stopped")
+        kept = searched(options, demonstrations, search)
+    print(f"policy      {search.pretrained}")  # at once: --policy.path takes it, should writing fail
+    policy = MacroPolicy.load(search.pretrained)
+    return Segmented(demonstrations, policy, kept.annotation, search.pretrained, kept.notes)
+
+
+def asked(options: AnnotateOptions) -> TrainOptions:
+    """The options of the training that is to find the stages."""
+    dataset, planner = options.dataset, options.planner
     if dataset.labels is not None and planner.macros == "auto":
         planner = replace(planner, macros=None)  # as many as the labels have names
-    training = TrainOptions(dataset=dataset, planner=planner, seed=options.seed, device=options.device)
-    training, given = labelled(training, demonstrations)
-    result = Trainer(demonstrations, training, RunFolder(output_dir / "training"), given).train()
+    return TrainOptions(dataset=dataset, planner=planner, seed=options.seed, device=options.device)
+
+
+def searched(options: AnnotateOptions, demonstrations: Demonstrations, search: KeptSearch) -> Kept:
+    """What a search finds, which is kept."""
+    training, given = labelled(asked(options), demonstrations)
+    search.begin()
+    result = Trainer(demonstrations, training, RunFolder(search.training), given).train()
     found = annotate(result.policy, demonstrations)
     if bool((found.labels == result.found.labels).all()):
         found = replace(found, confidence=result.found.confidence)
-    print(f"policy      {result.pretrained}")  # at once: --policy.path takes it, should writing fail
     notes = result.notes
     if result.choice is not None:
         macros, bound = result.choice.setting
         notes += (f"{macros} stages with at most {bound} changes, chosen by data that was left out",)
         if result.policy.config.macros < macros:
             notes += (f"{result.policy.config.macros} of them hold frames, the others are left out",)
-    return Segmented(demonstrations, result.policy, found, result.pretrained, notes)
-
-
-def found_text(stages: Stages, named: Sequence[StageName]) -> list[str]:
-    """The stages, their order and what stands still, a line each."""
-    frames = np.bincount(stages.labels, minlength=len(stages.names))
-    reasons = {one.name: one.reason for one in named}
-    lines = []
-    for k, name in enumerate(stages.names):
-        told = f"{name}, {frames[k] / frames.sum():.0%} of the frames. {reasons.get(name, '')}"
-        lines.append(f"{f'stage {k}':<11} {told.rstrip()}")
-    orders = Counter(tuple(label for label, _, _ in one) for one in stages.segments)
-    order, count = orders.most_common(1)[0]
-    listed = ", ".join(stages.names[label] for label in order[:8]) + ", ..." * (len(order) > 8)
-    once = len(set(order)) == len(order)
-    if count == len(stages.lengths):
-        each = ", each stage once" if once else ""
-        lines.append(f"{'order':<11} the same in all {count} demonstrations{each}: {listed}")
-    else:
-        lines.append(f"{'order':<11} {len(orders)} orders; {count} of {len(stages.lengths)} have {listed}")
-    if count < len(stages.lengths) or not once:
-        lines.append(f"{'':<11} (--planner.order=chain finds stages in one order, each once)")
-    lines.append(f"{'idle':<11} {stages.idle.mean():.1%} of the frames: nothing moves for a second or more")
-    if stages.corrected.any():
-        parts = sum(bool(stages.corrected[part].any()) for part in stages.trajectories)
-        lines.append(f"{'corrected':<11} {parts} demonstration{'s' * (parts != 1)} by a person")
-    return lines
-
-
-def refuse_within(output_dir: Path, root: Path, output: Path | None) -> None:
-    """Raise ValueError where the page would lie in one of the datasets: the old one is never written to."""
-    page = output_dir.resolve()
-    for dataset in (root, output):
-        if dataset is not None and (page == dataset.resolve() or dataset.resolve() in page.parents):
-            raise ValueError(
-                f"--output_dir={output_dir}: lies in the dataset {dataset}; give a folder that does not"
-            )
+    kept = Kept(found, notes)
+    search.keep(kept)
+    return kept
 
 
 def kept(output_dir: Path) -> str:

@@ -6,7 +6,7 @@ would have had at the world's last step.
 
 import json
 import sys
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -22,7 +22,20 @@ from dpmacro.worlds import expert_of
 from dpmacro.worlds.base import Episode, Moment, Planner, WorldError
 from dpmacro.worlds.making import import_package
 
-__all__ = ["PlannerSource", "iter_episodes", "one_thread", "replay", "run_episodes", "run_on"]
+__all__ = [
+    "PlannerSource",
+    "RepeatError",
+    "as_before",
+    "iter_episodes",
+    "one_thread",
+    "replay",
+    "run_episodes",
+    "run_on",
+]
+
+
+class RepeatError(ValueError):
+    """A run that was another one when it was repeated; one line."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +114,23 @@ def replay(
     planner = source.planner(world["id"])
     with one_thread(), closing(Stage(planner, world, render_mode="rgb_array")) as stage:
         yield from stage.moments(seed, every)
+
+
+def as_before(moments: Iterable[Moment], episode: Episode) -> Iterator[Moment]:
+    """The moments of a run that is repeated, as they come.
+
+    Raises RepeatError at the first that is not as it was in `episode`: it has another macro-action
+    or action, or the run ends otherwise.
+    """
+    for step, moment in enumerate(moments):
+        was = None if step >= episode.steps else (episode.actions[step], int(episode.macros[step]))
+        ends = episode.outcome if step == episode.steps - 1 else ""
+        if was is None or moment.outcome != ends or moment.macro != was[1] or np.any(moment.action != was[0]):
+            raise RepeatError(
+                f"the run of seed {episode.seed} cannot be repeated: step {step} was another one before; a "
+                "world and a policy give the same run by the same seed where they draw by it alone"
+            )
+        yield moment
 
 
 def run_on(stage: Stage, seed: int) -> Episode:

@@ -26,7 +26,7 @@ VIEW = "observation.images.view"
 
 @contextmanager
 def writing_runs(
-    root: Path, world: Mapping[str, Any], told: Recording, noise: float = 0.0
+    root: Path, world: Mapping[str, Any], told: Recording, noise: float = 0.0, building: Path | None = None
 ) -> Iterator["RunWriter"]:
     """A writer of a new dataset, which is in `root`, and complete, once the block has been left.
 
@@ -38,11 +38,15 @@ def writing_runs(
         world: {"id": of the world, **its options}, kept in `meta/dpmacro.json`.
         told: what recordings of the world say; truth, its names and the symmetry are kept there as well.
         noise: of the actions done, kept there likewise.
+        building: a folder that does not exist, on the same disk, to write in before `root` is there; by
+            default a hidden one beside it.
     """
     root = root.absolute()
     _refuse_existing(root)
     root.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".partial", dir=root.parent))
+    if building is None:
+        building = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".partial", dir=root.parent))
+    folder = building
     writer = RunWriter(folder / "dataset", told)
     try:
         yield writer
@@ -52,6 +56,7 @@ def writing_runs(
         about = {"world": dict(world), "truth": told.truth, "symmetric": told.symmetric}
         about |= {"noise": noise} if noise else {}
         (folder / "dataset" / WORLD_FILE).write_text(json.dumps(about, indent=2) + "\n")
+        _sort_statistics(folder / "dataset/meta/stats.json")
         shutil.rmtree(folder / "dataset/images", ignore_errors=True)  # LeRobot leaves an empty one behind
         _refuse_existing(root)
         (folder / "dataset").rename(root)
@@ -158,6 +163,13 @@ def _features(run: Run, told: Recording) -> dict[str, dict[str, Any]]:
         "next.done": {"dtype": "bool", **number},
         "next.success": {"dtype": "bool", **number},
     }
+
+
+def _sort_statistics(path: Path) -> None:
+    """Put the features of LeRobot's statistics into an order: theirs is another one in every process."""
+    statistics = json.loads(path.read_text(encoding="utf-8"))
+    ordered = {name: statistics[name] for name in sorted(statistics)}
+    path.write_text(json.dumps(ordered, indent=4, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def _refuse_existing(root: Path) -> None:

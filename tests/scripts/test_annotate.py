@@ -338,3 +338,84 @@ def test_a_dataset_with_an_episode_that_cannot_be_cut_is_refused_before_a_search
     told = capsys.readouterr().err
     assert exit_.value.code == 2 and "has 3 episodes, and 1 of them have no labels (episode 2 first)" in told
     assert not (tmp_path / "new").exists()
+
+
+class Killed(BaseException):
+    """What a test raises in place of a kill: nothing catches it."""
+
+
+def test_a_run_that_is_stopped_after_the_search_does_not_search_again(
+    script, quick_search, recorded, tmp_path, monkeypatch, capsys
+):
+    """With other names for the same search, too; with another search it is refused in a line."""
+    options = [f"--dataset.root={recorded}", *SMALL, "--planner.rectangles=32"]
+
+    def page(name, *more):
+        return [*options, f"--output={tmp_path / name}", f"--output_dir={tmp_path / f'{name}_page'}", *more]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(script, "Summary", lambda *_: (_ for _ in ()).throw(Killed))
+        with pytest.raises(Killed):
+            call(script, patched, *page("b"))
+    with monkeypatch.context() as patched:
+        patched.setattr(script, "Trainer", lambda *_: pytest.fail("searched"))
+        line = refused(script, patched, capsys, *page("b", "--planner.rectangles=33", "--seed=2"))
+        assert "search in this folder was begun with another planner.rectangles and seed; run" in line
+        call(script, patched, *page("b"))
+    assert "goes on     with the stages that were found in" in capsys.readouterr().out
+    call(script, monkeypatch, *page("a"))
+    undisturbed, gone_on = (read_labels(tmp_path / name) for name in "ab")
+    for name in ("labels", "confidence", "idle"):
+        assert np.array_equal(getattr(undisturbed, name), getattr(gone_on, name)), name
+    assert (tmp_path / "a/labels.csv").read_bytes() == (tmp_path / "b/labels.csv").read_bytes()
+    pages = [(tmp_path / f"{name}_page/segmentation.json").read_text() for name in "ab"]
+    assert pages[0].replace("a_page", "b_page") == pages[1]
+    assert not list(tmp_path.glob("*/.unfinished")) and not list(tmp_path.glob(".*"))
+
+
+def test_a_search_that_was_stopped_is_made_anew(
+    script, quick_search, recorded, tmp_path, monkeypatch, capsys
+):
+    options = [f"--dataset.root={recorded}", *SMALL, "--planner.rectangles=32", f"--output_dir={tmp_path}"]
+    with monkeypatch.context() as patched:
+        patched.setattr(script.Trainer, "_save", lambda *_: (_ for _ in ()).throw(Killed))
+        with pytest.raises(Killed):
+            call(script, patched, *options)
+    (tmp_path / "training/half").touch()
+    call(script, monkeypatch, *options)
+    assert "goes on     anew with the search in" in capsys.readouterr().out
+    assert not (tmp_path / "training/half").exists() and (tmp_path / "segmentation.json").exists()
+
+
+@pytest.mark.parametrize("rerun", [False, True])
+@pytest.mark.parametrize("place", ["before the numbers", "after them"])
+def test_wherever_the_end_is_stopped_the_same_command_completes_it(
+    script, policy, recorded, tmp_path, monkeypatch, place, rerun
+):
+    """Before the numbers are there, and between them and the end, whatever is written beside the page."""
+    options = [f"--policy.path={policy}", f"--dataset.root={recorded}", f"--output={tmp_path / 'out'}"]
+    options += [f"--output_dir={tmp_path / 'page'}"]
+    if rerun:
+        pytest.importorskip("rerun")
+        options.append("--rerun=true")
+    monkeypatch.setattr(script, "pictures", lambda *_: iter(()))
+    written = script.write_report
+
+    def stopped(*given, **named):
+        if place == "after them":
+            written(*given, **named)
+        raise Killed
+
+    with monkeypatch.context() as patched:
+        patched.setattr(script, "write_report", stopped)
+        with pytest.raises(Killed):
+            call(script, patched, *options)
+    assert not (tmp_path / "out").exists()
+    call(script, monkeypatch, *options)
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "page"}
+    assert {path.name for path in (tmp_path / "page").iterdir()} == {
+        "segmentation.html",
+        "segmentation.json",
+        "tensorboard",
+        *(["rerun"] if rerun else []),
+    }

@@ -59,6 +59,12 @@ def random_policy(world):
     return MacroPolicy.compact(config, pixels, Quantiser(cuts), stumps(2, 3), stumps(1, 1))
 
 
+def seeds_in(folder):
+    """Those of the runs that an evaluation has kept."""
+    lines = (folder / "runs.jsonl").read_text().splitlines()
+    return [json.loads(line)["seed"] for line in lines[1:]]
+
+
 @pytest.fixture(scope="module")
 def policy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("policy")
@@ -191,7 +197,8 @@ def test_failures_are_the_first_to_be_filmed(script, tmp_path, monkeypatch):
         )
         for seed, outcome in enumerate(["success", "red_first", "success", "red_never_reached"])
     ]
-    paths = script.write_videos(None, {"id": "Room-v0"}, episodes, 3, tmp_path)
+    paths, wrong = script.write_videos(None, {"id": "Room-v0"}, episodes, 3, tmp_path)
+    assert not wrong
     assert filmed == [1, 3, 0]
     assert [Path(path).name for path in paths] == [f"eval_episode_{index}.mp4" for index in (1, 3, 0)]
 
@@ -306,24 +313,26 @@ def test_runs_before_an_error_are_kept(script, reach, options, message, tmp_path
         call(script, monkeypatch, *given, "--world.bad_seed=2", *options)
     last = capsys.readouterr().err.splitlines()[-1]
     assert exit_.value.code == 2 and message in last
-    assert last.endswith(f"the 2 runs before it are kept in {out / script.PARTIAL}")
-    assert [path.name for path in out.iterdir()] == [script.PARTIAL]
-    ours = json.loads((out / script.PARTIAL).read_text())["dpmacro"]
-    assert ours["seeds"] == [0, 1] and ours["wanted_episodes"] == 5
-    call(script, monkeypatch, *given)
-    assert sorted(path.name for path in out.iterdir()) == ["eval_info.json", "tensorboard"]
+    assert last.endswith(f"the 2 runs before it are kept in {out / 'runs.jsonl'}")
+    assert [path.name for path in out.iterdir()] == ["runs.jsonl"]
+    assert seeds_in(out) == [0, 1]
+    with pytest.raises(SystemExit):
+        call(script, monkeypatch, *given)
+    error = capsys.readouterr().err
+    assert "was begun with world.bad_seed 2, and now it is left out; run the command" in error
 
 
-def test_runs_before_an_interrupt_are_kept(script, reach, tmp_path, monkeypatch):
-    def interrupted(source, world, seeds, workers):
-        yield from script.iter_episodes(source, world, [0, 1], 1)
+def test_runs_before_an_interrupt_are_kept(script, reach, tmp_path, monkeypatch, capsys):
+    def interrupted(source, world, seeds, workers, before):
+        yield from script.iter_episodes(source, world, seeds[:2], 1)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(script, "run", interrupted)
     with pytest.raises(SystemExit) as exit_:
         call(script, monkeypatch, f"--policy.path={reach}", f"--output_dir={tmp_path / 'out'}")
     assert exit_.value.code == 130
-    assert json.loads((tmp_path / "out" / script.PARTIAL).read_text())["dpmacro"]["seeds"] == [0, 1]
+    assert seeds_in(tmp_path / "out") == [10000, 10001]
+    assert f"the same command with --output_dir={tmp_path / 'out'} goes on" in capsys.readouterr().err
 
 
 def test_an_error_before_the_first_run_leaves_no_folder(script, reach, tmp_path, monkeypatch, capsys):

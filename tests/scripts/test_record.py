@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -286,12 +287,68 @@ def test_what_exists_is_refused_in_one_line(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
 
 
-def test_an_interrupt_leaves_nothing_behind(tmp_path):
+def test_an_interrupt_leaves_the_finished_runs_alone(tmp_path):
     run = start(f"--root={tmp_path / 'd'}", f"--world.id={LEVEL}", "--episodes=1000")
-    while not list(tmp_path.glob(".d.*.partial/dataset/data/*/*.parquet")):
+    while not list(tmp_path.glob(".d.recording/building/dataset/data/*/*.parquet")):
         assert run.poll() is None, run.communicate()
         time.sleep(0.1)
     os.kill(run.pid, signal.SIGINT)
     _, error = run.communicate(timeout=60)
     assert run.returncode == 130 and "Traceback" not in error
+    assert "of 1000 episodes are kept in" in error and "the same command goes on with them" in error
+    assert [path.name for path in tmp_path.iterdir()] == [".d.recording"]
+    assert not (tmp_path / ".d.recording/building").exists()
+
+
+def files_of(root):
+    return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+def stopped_at(seed, error=KeyboardInterrupt):
+    """The runs of a teacher that something stops at a seed."""
+
+    def runs(world, first, workers, noise, view):
+        for one in range(first, seed):
+            yield fake_run(one)
+        raise error
+
+    return runs
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+def test_a_recording_that_was_stopped_goes_on(faked, tmp_path, monkeypatch, capsys, error):
+    """Its files are, bit for bit, those of a recording that nobody stopped; other options are refused."""
+    config = faked.RecordConfig(tmp_path / "a", episodes=5)
+    faked.main(config)
+    again = replace(config, root=tmp_path / "b")
+    for seed in (2, 6):
+        with monkeypatch.context() as patched:
+            patched.setattr(faked, "expert_runs", stopped_at(seed, error))
+            with pytest.raises(error):
+                faked.main(again)
+        assert not again.root.exists()
+    assert "4 of 5 episodes are kept in" in capsys.readouterr().err
+    for other, message in (
+        ({"seed": 1}, "was begun with seed 0, and now it is 1; run the command"),
+        ({"episodes": 4}, "was begun with episodes 5, and now it is 4"),
+        ({"world": WorldOptions(options={"max_steps": 7})}, r"world.max_steps 3000, and now it is 7"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            faked.main(replace(again, **other))
+    faked.main(replace(again, workers=1))
+    out = capsys.readouterr().out
+    assert "goes on: 4 of 5 episodes are kept in" in out and "kept 5 of 7 runs, 2 failed" in out
+    assert files_of(tmp_path / "a") == files_of(tmp_path / "b")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+def test_a_hopeless_recording_keeps_nothing(faked, tmp_path, monkeypatch):
+    def one_succeeds(world, seed, *_):
+        while True:
+            yield fake_run(seed) if seed == 0 else None
+            seed += 1
+
+    monkeypatch.setattr(faked, "expert_runs", one_succeeds)
+    with pytest.raises(ValueError, match="only 1 of 20 runs succeeded"):
+        faked.main(faked.RecordConfig(tmp_path / "d", episodes=2))
     assert list(tmp_path.iterdir()) == []

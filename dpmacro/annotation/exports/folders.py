@@ -11,7 +11,15 @@ from typing import IO
 from dpmacro.data.images import DatasetError
 from dpmacro.utils.files import replacing
 
-__all__ = ["copy", "files_of", "link_or_copy", "refuse_places", "refuse_unwritable", "unfinished"]
+__all__ = [
+    "copy",
+    "files_of",
+    "link_or_copy",
+    "refuse_places",
+    "refuse_unwritable",
+    "refuse_within",
+    "unfinished",
+]
 
 # What a file system says that has no hard links, or none from the one to the other.
 NO_LINKS = {
@@ -52,6 +60,16 @@ def refuse_unwritable(option: str, folder: Path) -> None:
         raise PermissionError(
             f"{option}={folder}: {holder.resolve()} cannot be written to; give a folder that you may write to"
         )
+
+
+def refuse_within(output_dir: Path, root: Path, output: Path | None) -> None:
+    """Raise ValueError where the page would lie in one of the datasets: the old one is never written to."""
+    page = output_dir.resolve()
+    for dataset in (root, output):
+        if dataset is not None and (page == dataset.resolve() or dataset.resolve() in page.parents):
+            raise ValueError(
+                f"--output_dir={output_dir}: lies in the dataset {dataset}; give a folder that does not"
+            )
 
 
 @contextmanager
