@@ -143,7 +143,6 @@ def finish(
         for episode in run(source, world, seeds, workers, kept.episodes):
             kept.add(episode)
     except (ValueError, OSError, KeyboardInterrupt) as error:
-        kept.drop_if_empty()
         if isinstance(error, WorldError) and kept.episodes:
             told = f"the {len(kept.episodes)} runs before it are kept in {kept.path}"
             raise ValueError(f"{error}; {told}") from error
@@ -151,6 +150,8 @@ def finish(
             told = f"{len(kept.episodes)} of {len(seeds)} runs are kept in {kept.path}"
             print(f"{told}: the same command with --output_dir={kept.path.parent} goes on", file=sys.stderr)
         raise
+    finally:
+        kept.drop_if_empty()
 
 
 def each(steps: Mapping[str, Callable[[], None]], kept: KeptEpisodes) -> None:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, no_type_check
 
 from dpmacro.boosting.losses.vectors import LOSSES
 from dpmacro.data.images import ImageTransform
@@ -36,6 +36,7 @@ LONGEST_SIDE = 2**16  # of stored images, in pixels
 LARGEST = 1e30  # of a number that scores are compared with
 
 
+@no_type_check
 @dataclass(frozen=True)
 class InputConfig:
     """One thing that a policy sees."""
@@ -49,6 +50,7 @@ class InputConfig:
         return len(self.shape) == 3
 
 
+@no_type_check  # by what looks at shapes: values come from files, and are looked at here
 @dataclass(frozen=True)
 class PolicyConfig:
     """What a policy is, beside its numbers."""
@@ -184,6 +186,7 @@ def _check_inputs(inputs: Any) -> None:
         raise ValueError(f"inputs have {total} numbers a frame: give 1 to {MOST_NUMBERS}")
 
 
+@no_type_check
 def parsed_config(values: Mapping[str, Any]) -> PolicyConfig:
     """The config of these values, those of `dataclasses.asdict` after JSON made lists of the tuples.
 
@@ -206,6 +209,7 @@ def parsed_config(values: Mapping[str, Any]) -> PolicyConfig:
     return PolicyConfig(**made)
 
 
+@no_type_check
 def _parsed_input(name: str, values: Any) -> InputConfig:
     as_entries(name, values, kind=Mapping)
     if set(values) != {"shape", "stored_shape"}:

@@ -25,7 +25,8 @@ from dpmacro.data.images import ImageTransform
 from dpmacro.evaluation.rollouts import PlannerSource, iter_episodes
 from dpmacro.evaluation.run_writer import writing_runs
 from dpmacro.training.collection import gather
-from dpmacro.training.options import DaggerOptions, TrainOptions
+from dpmacro.training.dagger_options import DaggerOptions
+from dpmacro.training.options import TrainOptions
 from dpmacro.training.run_folder import RunFolder, plain_options
 from dpmacro.training.trainer import Trainer, TrainingResult
 from dpmacro.utils.stages import stage

@@ -11,24 +11,22 @@ from dpmacro.discovery.settings import ORDERS, RECIPES
 from dpmacro.features.kinds import FEATURES
 from dpmacro.policy.config import MOST_MACROS, MOST_PIXELS
 from dpmacro.segmentation.arguments import MOST_TRANSITIONS
+from dpmacro.training.dagger_options import SEEDS, DaggerOptions
 from dpmacro.utils.checks import as_count
 
 __all__ = [
     "LEARNERS",
     "PLANNERS",
     "ConvNetOptions",
-    "DaggerOptions",
     "DatasetOptions",
     "PlannerOptions",
     "TrainOptions",
 ]
 
 PLANNERS = ("dpboost", "baseline")
-SEEDS = 2**63  # those that generators take
 LEARNERS = ("stumps", "convnet")
 MACROS = 2  # unless a number is given, or names of macro-actions
 RELATIVE = ("auto", "true", "false")
-MOST_RUNS = 100_000  # of a DAgger iteration; their workers are no more
 
 # What the counts may be: beyond these, memory or a lifetime would not do.
 COUNTS = {
@@ -229,36 +227,6 @@ def _take_from_paper(options: PlannerOptions) -> None:
 
 
 @dataclass(frozen=True)
-class DaggerOptions:
-    """DAgger (Ross et al. 2011), which adds the policy's own runs, labelled by the world's teacher."""
-
-    iterations: int = 0
-    """Times that the policy runs, the world's teacher labels its frames, and training repeats."""
-    episodes: int = 20
-    """Runs of the policy that every DAgger iteration adds to the demonstrations."""
-    seed: int = 20000
-    """World seed of the first added run; the following runs take the following seeds."""
-    validation_episodes: int = 50
-    """Runs of every iteration's policy whose success rate decides which policy is kept."""
-    validation_seed: int = 5000
-    """World seed of the first validation run; the following runs take the following seeds."""
-    workers: int = 2
-    """Processes that share the runs; results do not depend on their number."""
-
-    def __post_init__(self) -> None:
-        bounds = {"iterations": (0, 1000), "seed": (0, SEEDS - 1), "validation_seed": (0, SEEDS - 1)}
-        for name, value in vars(self).items():
-            as_count(f"dagger.{name}", value, *bounds.get(name, (1, MOST_RUNS)))
-        gathered = range(self.seed, self.seed + self.iterations * self.episodes)
-        validating = range(self.validation_seed, self.validation_seed + self.validation_episodes)
-        if max(gathered.start, validating.start) < min(gathered.stop, validating.stop):
-            raise ValueError(
-                f"dagger.seed is {self.seed} and dagger.validation_seed {self.validation_seed}: some worlds "
-                "would serve both, move one of them"
-            )
-
-
-@dataclass(frozen=True)
 class TrainOptions:
     """Options of train.py."""
 
@@ -279,8 +247,7 @@ class TrainOptions:
     """Whether to go on with a run that was stopped, whose train_config.json is given by --config_path."""
 
     def __post_init__(self) -> None:
-        if self.save_freq < 0:
-            raise ValueError(f"save_freq is {self.save_freq}: give 0 or more rounds")
+        as_count("save_freq", self.save_freq, 0, 2**31)
         if self.dataset.root is None:
             raise ValueError("no demonstrations: give --dataset.root=<folder of a LeRobot dataset>")
         if self.dataset.labels is not None:

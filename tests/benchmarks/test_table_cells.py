@@ -20,7 +20,8 @@ from table_cells import (  # noqa: E402
     demonstrations_needed,
 )
 
-from dpmacro.training.options import DaggerOptions, TrainOptions  # noqa: E402
+from dpmacro.training.dagger_options import DaggerOptions  # noqa: E402
+from dpmacro.training.options import TrainOptions  # noqa: E402
 from dpmacro.utils import cli  # noqa: E402
 
 CURVE = [5, 20, 100]

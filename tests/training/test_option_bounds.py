@@ -1,8 +1,11 @@
 """Options that would fill memory or never end are refused by name, before anything is read."""
 
+from pathlib import Path
+
 import pytest
 
-from dpmacro.training.options import DaggerOptions, DatasetOptions, PlannerOptions, TrainOptions
+from dpmacro.training.dagger_options import DaggerOptions
+from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
 
 
 @pytest.mark.parametrize(
@@ -28,10 +31,13 @@ from dpmacro.training.options import DaggerOptions, DatasetOptions, PlannerOptio
         (lambda: DaggerOptions(workers=10**9), r"dagger\.workers is 1000000000: give 100000 or less"),
         (lambda: DatasetOptions(image_size=(40000, 30000)), r"dataset\.image_size is \[40000, 30000\]: give"),
         (
-            lambda: TrainOptions(DatasetOptions("x"), seed=10**30),
+            lambda: TrainOptions(DatasetOptions(Path("x")), seed=10**30),
             r"seed is 10+: give 92233",
         ),
-        (lambda: TrainOptions(DatasetOptions("x"), device="meta"), r"device 'meta' is not available here"),
+        (
+            lambda: TrainOptions(DatasetOptions(Path("x")), device="meta"),
+            r"device 'meta' is not available here",
+        ),
     ],
 )
 def test_an_option_beyond_all_bounds_is_named(make, message):

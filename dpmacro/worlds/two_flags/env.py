@@ -20,6 +20,7 @@ TURN = math.pi / 300
 WHOLE_TURN = 600  # turns
 PIXELS = (64, 48)
 VIEW = (320, 240)
+WIDEST = 4096  # of what is rendered, 48 MiB with all that belongs to it
 SIDES = (5.0, 20.0)
 
 _GAP = 0.1
@@ -54,9 +55,9 @@ class TwoFlagsConfig:
             (self.layout_seed >= 0, "layout_seed", "give a seed of 0 or more"),
             (0 <= self.yaw_noise < math.inf, "yaw_noise", "give degrees, 0 or more and finite"),
             (
-                width >= PIXELS[0] and width * PIXELS[1] == height * PIXELS[0],
+                PIXELS[0] <= width <= WIDEST and width * PIXELS[1] == height * PIXELS[0],
                 "render_size",
-                "give a width and height in the ratio 4:3, at least (64, 48)",
+                f"give a width and height in the ratio 4:3, from (64, 48) to ({WIDEST}, {WIDEST * 3 // 4})",
             ),
             (self.max_steps >= 1, "max_steps", "give 1 or more"),
             (self.renderer in ("tiny", "egl"), "renderer", "choose 'tiny' or 'egl'"),
