@@ -46,6 +46,7 @@ from dpmacro.policy.policy import MacroPolicy
 from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
 from dpmacro.training.options import DatasetOptions, PlannerOptions, TrainOptions
+from dpmacro.training.resuming import kept_stages
 from dpmacro.training.run_folder import RunFolder, plain_options
 from dpmacro.training.trainer import Trainer
 from dpmacro.utils import cli
@@ -283,7 +284,7 @@ def trained(options: AnnotateOptions, output_dir: Path, corrections: Corrections
         print(f"goes on     with the stages that were found in {search.training}")
     else:
         if search.begun:
-            print(f"goes on     anew with the search in {search.training}, which was stopped")
+            print(f"goes on     with the search in {search.training}, which was stopped")
         kept = searched(options, demonstrations, search)
     print(f"policy      {search.pretrained}")  # at once: --policy.path takes it, should writing fail
     policy = MacroPolicy.load(search.pretrained)
@@ -302,7 +303,9 @@ def searched(options: AnnotateOptions, demonstrations: Demonstrations, search: K
     """What a search finds, which is kept."""
     training, given = labelled(asked(options), demonstrations)
     search.begin()
-    result = Trainer(demonstrations, training, RunFolder(search.training), given).train()
+    folder = RunFolder.inner(search.training)
+    with kept_stages(folder, training, demonstrations, given):
+        result = Trainer(demonstrations, training, folder, given).train()
     found = annotate(result.policy, demonstrations)
     if bool((found.labels == result.found.labels).all()):
         found = replace(found, confidence=result.found.confidence)
@@ -314,6 +317,7 @@ def searched(options: AnnotateOptions, demonstrations: Demonstrations, search: K
             notes += (f"{result.policy.config.macros} of them hold frames, the others are left out",)
     kept = Kept(found, notes)
     search.keep(kept)
+    folder.end()
     return kept
 
 

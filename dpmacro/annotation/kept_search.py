@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,9 +96,7 @@ class KeptSearch:
             raise ValueError(f"{path} cannot be read ({reason}): give another --output_dir") from error
 
     def begin(self) -> None:
-        """Say what is asked, and remove what a search that was stopped left of its training."""
-        if self._place.exists():
-            shutil.rmtree(self.training, ignore_errors=True)
+        """Say what is asked."""
         with replacing(self._place) as path:
             path.write_text(json.dumps(self._asked, indent=2) + "\n")
 

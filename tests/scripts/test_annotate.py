@@ -383,7 +383,7 @@ def test_a_search_that_was_stopped_is_made_anew(
             call(script, patched, *options)
     (tmp_path / "training/half").touch()
     call(script, monkeypatch, *options)
-    assert "goes on     anew with the search in" in capsys.readouterr().out
+    assert "goes on     with the search in" in capsys.readouterr().out
     assert not (tmp_path / "training/half").exists() and (tmp_path / "segmentation.json").exists()
 
 
