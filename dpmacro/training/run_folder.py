@@ -26,7 +26,7 @@ from dpmacro.utils.files import replacing
 
 __all__ = ["RunFolder", "dated_folder", "plain_options"]
 
-OWN = ("tensorboard", "checkpoints")  # what a run puts into its folder before anything is found
+OWN = ("tensorboard", "checkpoints", "iterations")  # what a run puts there before anything is found
 
 
 def dated_folder(job_name: str) -> Path:

@@ -373,18 +373,23 @@ def test_a_run_that_is_stopped_after_the_search_does_not_search_again(
     assert not list(tmp_path.glob("*/.unfinished")) and not list(tmp_path.glob(".*"))
 
 
-def test_a_search_that_was_stopped_is_made_anew(
-    script, quick_search, recorded, tmp_path, monkeypatch, capsys
-):
+def test_a_search_that_was_stopped_goes_on(script, quick_search, recorded, tmp_path, monkeypatch, capsys):
     options = [f"--dataset.root={recorded}", *SMALL, "--planner.rectangles=32", f"--output_dir={tmp_path}"]
     with monkeypatch.context() as patched:
         patched.setattr(script.Trainer, "_save", lambda *_: (_ for _ in ()).throw(Killed))
         with pytest.raises(Killed):
             call(script, patched, *options)
-    (tmp_path / "training/half").touch()
+    stages = tmp_path / "training/checkpoints/000000/training_state/stages"
+    kept = {one.name: one.stat().st_mtime_ns for one in stages.iterdir()}
+    assert kept
+    with monkeypatch.context() as patched:
+        patched.setattr(script.KeptSearch, "keep", lambda *_: (_ for _ in ()).throw(Killed))
+        with pytest.raises(Killed):
+            call(script, patched, *options)
+    assert {one.name: one.stat().st_mtime_ns for one in stages.iterdir()} == kept
     call(script, monkeypatch, *options)
     assert "goes on     with the search in" in capsys.readouterr().out
-    assert not (tmp_path / "training/half").exists() and (tmp_path / "segmentation.json").exists()
+    assert not stages.exists() and (tmp_path / "segmentation.json").exists()
 
 
 @pytest.mark.parametrize("rerun", [False, True])

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torch.utils.tensorboard import SummaryWriter
 
@@ -41,6 +42,13 @@ def test_a_training_on_vectors_shows_pictures_and_says_what_accuracy_is(
     assert b"share of their variance that is explained" in text.tensor_proto.string_val[0]
 
 
+class Unwritten(Figure):
+    """A picture that cannot be saved."""
+
+    def savefig(self, *given, **options):
+        raise RuntimeError("no place")
+
+
 def test_a_picture_that_fails_is_a_line_and_the_others_are_made(tmp_path, monkeypatch):
     def fails(*given):
         raise RuntimeError("no fonts")
@@ -53,6 +61,6 @@ def test_a_picture_that_fails_is_a_line_and_the_others_are_made(tmp_path, monkey
         ):
             TrainingPictures(writer, tmp_path).show(vectors_with_a_rule(), policy, found)
         with pytest.warns(UserWarning, match="the picture selection could not"):
-            TrainingPictures(writer, tmp_path).add("selection", None)
+            TrainingPictures(writer, tmp_path).add("selection", Unwritten())
     names = {path.stem for path in tmp_path.glob("*.png")}
     assert {"timeline", "objective", "transitions"} <= names and "segmentation" not in names
