@@ -324,7 +324,11 @@ def searched(options: AnnotateOptions, demonstrations: Demonstrations, search: K
 def kept(output_dir: Path) -> str:
     """What is safe where the disk is full, in words."""
     folder = RunFolder(output_dir / "training", resume=True)
-    return f"{folder.saved()}, --policy.path takes it" if folder.last.exists() else "the dataset is as it was"
+    if (folder.last / "model.safetensors").exists():
+        return f"the policy is safe in {folder.last}, --policy.path takes it"
+    if folder.begun.exists():
+        return f"what was found so far is safe, the same command with --output_dir={output_dir} goes on"
+    return "the dataset is as it was"
 
 
 def default_output_dir(root: Path) -> Path:

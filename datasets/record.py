@@ -90,6 +90,8 @@ def main(cfg: RecordConfig) -> None:
 
 def kept_so_far(kept: KeptRuns, episodes: int) -> str:
     """How much of a recording is safe, in words."""
+    if not kept.episodes:
+        return "nothing of it is kept"
     return f"{kept.episodes} of {episodes} episodes are kept in {kept.folder}"
 
 

@@ -18,18 +18,17 @@ def best_threshold(
     tolerance: int = 0,
     others: Sequence[Segment] = (),
 ) -> float:
-    """The threshold under which most segments of a macro-action are left as the demonstrations leave them.
+    """The threshold under which most of the segments are left at their end and not before.
 
-    A segment that ends in the change is left in time where before <= threshold < at: the highest score before
-    its change, and the score at the change's first frame. Later frames do not count, since a policy that has
-    not changed by then will not see them. One that ends otherwise is left alone where no score in it is above
-    the threshold. Where a change may be early or late, of the thresholds that serve most segments those count
-    that leave most of them at the very frame. The middle of the widest range of these wins; where no
-    threshold leaves any segment in time, zero, the switch function's own decision boundary, stands.
+    A segment is left in time where before <= threshold < at: the highest score before its change, and the
+    score at the change's first frame. Later frames do not count, since a policy that has not changed by then
+    will not see them. Where a change may be early or late, of the thresholds that leave most segments in time
+    those count that leave most of them at the very frame. The middle of the widest range of these wins; where
+    no threshold serves any segment, zero, the switch function's own decision boundary, stands.
 
-    A change in the minority of the segments has no threshold, infinity, where none serves more of them
-    than never to make it does: the switch function would end more segments at a wrong time than it ends
-    rightly.
+    Other segments of the macro-action have no say in it: a change too many can be undone, one that is missed
+    cannot. But a change that most of them end without has no threshold, infinity, where never to make it is
+    as good: where no more segments are left in time, or without it, than have another end.
 
     Args:
         segments: those that end in the change of the switch function.
@@ -42,19 +41,19 @@ def best_threshold(
         for frames in (tolerance, 0)
     )
     alone = np.array([float(scores[one.start : one.stop].max()) for one in others])
-    levels = np.unique(np.concatenate([peaks.ravel(), exact.ravel(), alone]))
+    levels = np.unique(np.concatenate([peaks.ravel(), exact.ravel()]))
     in_time, at_once = _served(peaks, levels), _served(exact, levels)
-    right = in_time + np.searchsorted(np.sort(alone), levels[:-1], side="right")
-    if len(segments) < len(others) and right.max(initial=0) <= len(others):
-        return float("inf")
     # Levels of the changes part ranges, those of the very frames only where their count differs.
-    parts = np.stack([np.searchsorted(np.unique(peaks), levels[:-1], side="right"), right, at_once], 1)
+    parts = np.stack([np.searchsorted(np.unique(peaks), levels[:-1], side="right"), at_once], 1)
     ranges = []
     for first, last in _runs(parts):
         low, high = levels[first], levels[last]
         if in_time[first]:
-            ranges.append((right[first], at_once[first], high - low, (low + high) / 2))
-    return float(max(ranges)[-1]) if ranges else 0.0
+            ranges.append((in_time[first], at_once[first], high - low, (low + high) / 2))
+    most, _, _, threshold = max(ranges, default=(0, 0, 0.0, 0.0))
+    if len(segments) < len(others) and most + int((alone <= threshold).sum()) <= len(others):
+        return float("inf")
+    return float(threshold)
 
 
 def recognised_share(

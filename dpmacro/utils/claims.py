@@ -167,7 +167,7 @@ def _take_over(folder: Path, dead: int, beside: bool) -> None:
     removed = f" and removes what it left half-written: {', '.join(map(str, left))}" if left else ""
     warnings.warn(
         f"{folder}: process {dead} was killed while it wrote to it; this one takes over{removed}",
-        stacklevel=2,
+        stacklevel=1,
     )
 
 

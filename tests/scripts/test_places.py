@@ -120,6 +120,7 @@ def test_an_annotation_for_which_the_disk_is_full_says_what_is_safe(
     told = "cannot be written (No space left on device); the dataset is as it was; free some space or give"
     assert f"error: {tmp_path}/out: {told}" in line
     (tmp_path / "out/training/checkpoints/last/pretrained_model").mkdir(parents=True)
+    (tmp_path / "out/training/checkpoints/last/pretrained_model/model.safetensors").touch()
     safe = script("datasets/annotate.py").kept(tmp_path / "out")
     assert safe.endswith("out/training/checkpoints/last/pretrained_model, --policy.path takes it")
 
