@@ -109,5 +109,5 @@ def test_a_script_that_fails_says_why(tmp_path):
     done = script(tmp_path, "--options=--planner.macros=0", "--codec=h264")
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1] == (
-        "error: train.py ended with status 2: error: planner.macros is 0: give 1 or more, or auto"
+        "error: train.py ended with status 2: error: planner.macros is 0: give 1 or more"
     )
