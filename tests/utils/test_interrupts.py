@@ -38,8 +38,15 @@ def test_blocks_may_be_nested():
     assert done
 
 
-def test_a_signal_that_ends_is_held_back_and_raised_likewise():
-    before = signal.getsignal(signal.SIGTERM)
+@pytest.fixture
+def unhandled():
+    """SIGTERM as a new process has it, whatever tests before have left."""
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_a_signal_that_ends_is_held_back_and_raised_likewise(unhandled):
     done = []
     with pytest.raises(KeyboardInterrupt) as caught, interrupts.terminating():
         with interrupts.held_back():
@@ -47,7 +54,7 @@ def test_a_signal_that_ends_is_held_back_and_raised_likewise():
             done.append("all of it")
         done.append("not reached")
     assert done == ["all of it"] and caught.value.number == signal.SIGTERM and str(caught.value) == "SIGTERM"
-    assert signal.getsignal(signal.SIGTERM) is before
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def test_a_signal_that_something_else_handles_is_left_to_it():

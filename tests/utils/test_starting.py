@@ -76,7 +76,8 @@ WORKS = """
     ],
 )
 def test_signals_clean_up_alike(tmp_path, number, status, line):
-    process = run(tmp_path, "script/script.py", WORKS, cwd=tmp_path)
+    heeding = {"preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL)}  # under nohup, too
+    process = run(tmp_path, "script/script.py", WORKS, cwd=tmp_path, **heeding)
     assert [path.name[:5] for path in (tmp_path / "run").iterdir() if path.suffix == ".txt"] == [".half"]
     process.send_signal(number)
     assert process.communicate(timeout=20) == ("", f"{line}\n")
