@@ -19,7 +19,7 @@ from typing import Any, NoReturn, TypeVar
 
 from draccus import cfgparsing
 from draccus.argparsing import ArgumentParser
-from draccus.parsers.decoding import decode, decode_int
+from draccus.parsers.decoding import decode
 from draccus.utils import DecodingError, DraccusException
 from draccus.wrappers.docstring import get_attribute_docstring
 from yaml import YAMLError
@@ -60,15 +60,7 @@ def _path(value: Any, path: Sequence[str] = ()) -> Path:
     return Path(str(value)).expanduser()
 
 
-def _whole(value: Any, path: Sequence[str] = ()) -> int:
-    """A whole number; true and false are none."""
-    if isinstance(value, bool):
-        raise DecodingError(path, f"Couldn't parse '{str(value).lower()}' into an int")
-    return int(decode_int(value, path))
-
-
 decode.register(Path, _path)
-decode.register(int, _whole)
 
 
 def parse(config_class: type[Config], arguments: Sequence[str] | None = None) -> Config:
