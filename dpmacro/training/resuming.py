@@ -49,7 +49,8 @@ def check_unchanged(options: TrainOptions, folder: RunFolder) -> None:
     if not folder.begun.exists():
         raise ValueError(f"{folder.path} holds no run to go on with: give {HOW}, or leave resume out")
     before = _flat(json.loads(folder.begun.read_text()))
-    for name, value in sorted(_flat(plain_options(options)).items()):
+    given = json.loads(json.dumps(plain_options(options)))  # tuples become lists there
+    for name, value in sorted(_flat(given).items()):
         if name not in FREE and value != before.get(name):
             raise ValueError(
                 f"{name} is {value}, and {folder.path} was begun with {before.get(name)}: give {HOW} alone, "

@@ -19,7 +19,7 @@ from tests.training.test_dagger import DAGGER, short_world  # noqa: F401  a fixt
 from tests.training.test_train import SMALL, TINY, call
 
 LAST = "checkpoints/last/pretrained_model"
-OPTIONS = [*TINY, "--save_freq=3"]
+OPTIONS = [*TINY, "--dataset.image_size=[32,24]", "--save_freq=3"]
 NEVER = 10**6
 FOUND = (
     f"{LAST}/model.safetensors",

@@ -6,9 +6,9 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 from dpmacro.data.images import DatasetError
+from dpmacro.utils.claims import locked
 from dpmacro.utils.files import replacing
 
 __all__ = [
@@ -85,7 +85,7 @@ def unfinished(output: Path, fingerprint: str) -> Iterator[Path]:
     partial = output.with_name(f".{output.name}.partial")
     partial.mkdir(parents=True, exist_ok=True)
     with (partial / "lock").open("w") as lock:
-        if not _locked(lock):
+        if locked(lock) is False:  # None where there are no locks
             raise ValueError(f"--output={output}: another process writes it; wait for that, or stop it")
         if output.is_symlink() or (output.exists() and not _is_empty_folder(output)):
             raise ValueError(f"--output={output}: exists already; remove it or give another")
@@ -147,19 +147,3 @@ def _walk(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
 
 def _is_empty_folder(path: Path) -> bool:
     return path.is_dir() and not any(path.iterdir())
-
-
-def _locked(file: IO[str]) -> bool:
-    """Whether this process has the lock of the file, or there are no locks here."""
-    try:
-        import fcntl
-    except ImportError:  # not on Windows
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError as error:
-        if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
-            raise
-    return True

@@ -1,6 +1,6 @@
 """dpmacro's policies, and its worlds, in LeRobot's programs; importing this registers all of them.
 
-    lerobot-eval --env.discover_packages_path=dpmacro.policy.lerobot --env.type=two_flags --policy.path=...
+    lerobot-eval --env.discover_packages_path=dpmacro.policy.lerobot --env.type=... --policy.path=...
 
 Nothing else in dpmacro imports this package, since LeRobot takes seconds to import.
 """
