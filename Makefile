@@ -56,7 +56,7 @@ test-versions: $(INSTALLED) ## the tests that depend on the versions of Python a
 CASES ?= 500
 
 fuzz: $(INSTALLED) ## damage files in every way: CASES random cases of each test, 500 by default
-	FUZZ_CASES=$(CASES) DPMACRO_FUZZ_EXAMPLES=$(CASES) $(BIN)/python -m pytest -s tests/fuzz
+	FUZZ_CASES=$(CASES) $(BIN)/python -m pytest -s tests/fuzz
 
 test-benchmarks: $(PEERS) ## whole benchmarks in small, with the other libraries (make test leaves these out)
 	$(TESTS) $(SHAPES) -m benchmark

@@ -25,7 +25,7 @@ def cases(few: int) -> Callable[[Any], Any]:
         derandomize=not CASES,
         database=None,
         deadline=None,
-        phases=[Phase.generate],
+        phases=[Phase.explicit, Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
 

@@ -1,26 +1,25 @@
 """Command lines of every script, from a grammar over all its options: accepted, or one line and status 2.
 
-DPMACRO_FUZZ_EXAMPLES is the number of command lines of each script; the few of the suite without it.
+`make fuzz CASES=n` tries n random command lines of each script; the suite has the same few every time.
 """
 
 import functools
 import importlib.util
 import inspect
 import json
-import os
 import sys
 import time
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dpmacro.utils import cli
 from dpmacro.utils.option_files import option_types
+from tests.fuzz.limits import CASES, cases
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = int(os.environ.get("DPMACRO_FUZZ_EXAMPLES", "25"))
 SLOWEST = 20  # seconds
 
 # What is put in place of the work, by script; `stream` is for what is asked for one result after another.
@@ -269,8 +268,10 @@ def test_a_command_line_is_accepted_or_refused_in_a_line(script, place, monkeypa
     module = script_of(script)
     counts = {"accepted": 0, "refused": 0, "help": 0}
 
-    @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @cases(25)
     @given(command_lines(script))
+    @example((REQUIRED[script], None))
+    @example((["--help_"], None))
     def check(given_):
         arguments, content = given_
         if content is not None:
@@ -302,6 +303,6 @@ def test_a_command_line_is_accepted_or_refused_in_a_line(script, place, monkeypa
 
     check()
     with capsys.disabled():
-        if "DPMACRO_FUZZ_EXAMPLES" in os.environ:
+        if CASES:
             print(f"\n{script}: {counts}")
     assert counts["accepted"] and counts["refused"]
