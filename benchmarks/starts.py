@@ -109,10 +109,10 @@ def rows(case: Case, options: StartOptions) -> Iterator[str]:
     groups: dict[str, Tensor] = {}
     if options.kinds:
         generator = torch.Generator().manual_seed(task.seed)
-        evidence = evidence_of(case.data.levels, task, generator)
+        evidence = evidence_of(case.data, task, generator)
         moments = Moments(evidence)
         count = options.starts * len(KINDS)
-        groups = vector_starts(case.data.levels, evidence, moments, count, generator, dict.fromkeys(KINDS, 1))
+        groups = vector_starts(case.data, evidence, moments, count, generator, dict.fromkeys(KINDS, 1))
         groups |= {
             f"linear {name}": linear_alternation(evidence, own, moments).labels
             for name, own in groups.items()

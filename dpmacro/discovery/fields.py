@@ -12,7 +12,6 @@ import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
 
-from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting
 from dpmacro.discovery.candidates import Task
@@ -82,10 +81,9 @@ def extended(
     for _ in range(ROUNDS):
         boosting.round(held)
     strong, targets = boosting.strong(), task.loss.targets(task.actions)
-    parts = zip(data.levels.split(CHUNK, 1), targets.split(CHUNK), strict=True)
-    costs = torch.cat(
-        [task.loss.terms(strong.scores(Frames(levels)), wanted).sum(2) for levels, wanted in parts]
-    )
+    strong, chunks = StumpLearner(data, drawn=COLUMNS).shown(strong, data.n_frames, CHUNK)
+    parts = zip(chunks, targets.split(CHUNK), strict=True)
+    costs = torch.cat([task.loss.terms(strong.scores(frames), wanted).sum(2) for frames, wanted in parts])
     bound = task.max_transitions if max_transitions is None else max_transitions
     if task.given is None and task.order == "free":
         return used[segment(costs, task.lengths, bound).labels.cpu()]
@@ -113,11 +111,7 @@ def _part(
 ) -> tuple[SortedLevels, Task]:
     """Data and task of some frames."""
     places = frames.nonzero()[:, 0]
-    levels = data.levels[:, places.to(data.levels.device)]
+    part = data.like(data.levels[:, places.to(data.levels.device)])
     given = None if task.given is None else task.given[places]
     actions = task.actions[places.to(task.actions.device)]
-    kinds = data.kinds
-    part = (
-        SortedLevels.build(levels, kinds=kinds) if len(data.columns) else SortedLevels.unsorted(levels, kinds)
-    )
     return part, replace(task, actions=actions, given=given, **others)

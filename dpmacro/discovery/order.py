@@ -39,9 +39,9 @@ def order_of(data: SortedLevels, task: Task) -> Order:
         generator = torch.Generator().manual_seed(task.seed)
         bound = task.macros - 1 if order == "chain" else task.max_transitions
         field = field_of(data, replace(task, order=order, max_transitions=bound))
-        evidence = evidence_of(field.data.levels, field.task, generator)
+        evidence = evidence_of(field.data, field.task, generator)
         moments = Moments(evidence)
-        kinds = vector_starts(field.data.levels, evidence, moments, STARTS, generator)
+        kinds = vector_starts(field.data, evidence, moments, STARTS, generator)
         starts = torch.cat(list(kinds.values()))
         losses[order] = float(linear_alternation(evidence, starts, moments).loss.min())
     return Order(**losses)

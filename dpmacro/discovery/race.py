@@ -83,9 +83,9 @@ def raced(
     every `SURVIVING` restarts.
     """
     generator = torch.Generator().manual_seed(task.seed)
-    evidence = evidence_of(data.levels, task, generator)
+    evidence = evidence_of(data, task, generator)
     moments = Moments(evidence)
-    kinds = vector_starts(data.levels, evidence, moments, restarts, generator)
+    kinds = vector_starts(data, evidence, moments, restarts, generator)
     starts = torch.cat(list(kinds.values()))
     linear = linear_alternation(evidence, starts, moments)
     ended = linear.labels[linear.loss.argsort()]

@@ -134,7 +134,7 @@ def _alternated(
     if settings.starts == "random":
         starts = random_cuts(task.lengths, *bounds)
     else:
-        starts = initial_segmentations(data.levels, task.actions, task.lengths, *bounds)
+        starts = initial_segmentations(data, task.actions, task.lengths, *bounds)
     if task.order == "chain":
         starts = chained(starts, task.lengths, task.macros)
     starts = torch.cat([taught(data, task), starts])
@@ -191,14 +191,14 @@ def _as_they_are(data: SortedLevels, task: Task, restarts: int) -> Int64[Tensor,
     generator = torch.Generator().manual_seed(task.seed)
     bounds = task.macros, task.max_transitions
     if task.vectors:
-        evidence = evidence_of(data.levels, task, generator)
+        evidence = evidence_of(data, task, generator)
         own, n_peaks = window_clusters(evidence, restarts // 8, generator), restarts // 4
     else:
         own = action_events(task.actions, task.lengths, restarts // 4, *bounds, generator)
         n_peaks = PEAKS * restarts
     peaks = [
         feature_peaks(
-            data.levels,
+            data,
             task.lengths,
             n_peaks // (smaller.macros - 1),
             smaller.macros,

@@ -6,14 +6,14 @@ that come back are always those which the fitted functions want, exactly; `unset
 the switch functions were fitted to other ones.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from dpmacro.boosting.learners.base import Frames, StrongClassifier, WeakLearner
+from dpmacro.boosting.learners.base import StrongClassifier, WeakLearner
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.boosting.stopping import validated_rounds
 from dpmacro.discovery.alternation import alternate
@@ -169,7 +169,8 @@ def _classifiers(
     given = boosting, task.actions, task.lengths, labels[None], task.macros, task.max_transitions
     ended = alternate(*given, rounds, int(fit.held * rounds), "fit", on_round, costs, task.order, task.held)
     classifiers = boosting.strong()
-    own = action_costs(_chunks(fit.learner, len(labels)), classifiers, task.actions, task.loss)
+    shown, chunks = fit.learner.shown(classifiers, len(labels), CHUNK)
+    own = action_costs(chunks, shown, task.actions, task.loss)
     changing = None
     if costs is not None:
         own, changing = own + costs.staying.to(own.device), costs.changing.to(own.device)
@@ -190,11 +191,5 @@ def _switch_costs(
 ) -> SwitchCosts | None:
     if switches.classifier is None:
         return None
-    chunks = _chunks(learner, len(task.actions))
-    return switch_terms_costs(chunks, switches.classifier, terms, task.actions, task.lengths)
-
-
-def _chunks(learner: WeakLearner, n_frames: int) -> Iterator[Frames]:
-    """The learner's first frames, `CHUNK` at a time."""
-    for first in range(0, n_frames, CHUNK):
-        yield learner.frames(slice(first, min(first + CHUNK, n_frames)))
+    shown, chunks = learner.shown(switches.classifier, len(task.actions), CHUNK)
+    return switch_terms_costs(chunks, shown, terms, task.actions, task.lengths)

@@ -9,9 +9,10 @@ from torch import Tensor
 from dpmacro.features import memory
 from dpmacro.features.base import Encoder, Observation, frame_bytes
 from dpmacro.features.history import Recording
-from dpmacro.features.levels import SortedLevels
+from dpmacro.features.levels import LEVELS, SortedLevels
 from dpmacro.features.memory import Plan
 from dpmacro.features.quantising import Quantiser
+from dpmacro.parallel import ALONE, Ranks, Shares
 
 __all__ = ["prepare", "with_mirror_images"]
 
@@ -23,6 +24,7 @@ def prepare(
     plan: Plan,
     generator: torch.Generator,
     on_columns: Callable[[int], None] = lambda _: None,
+    ranks: Ranks = ALONE,
 ) -> tuple[Encoder, Quantiser, SortedLevels]:
     """The columns that the plan keeps, their cuts, and the levels of every frame, sorted if the plan says so.
 
@@ -37,6 +39,7 @@ def prepare(
             without pixels are kept in any case.
         generator: draws the columns that are kept.
         on_columns: called after each part with the number of columns in it.
+        ranks: who computes, quantises and sorts a share of the columns each; all have all cuts in the end.
 
     Raises ValueError where the plan keeps fewer columns than those without pixels, where an observation
     lacks or does not fit, and where values are not finite.
@@ -49,26 +52,29 @@ def prepare(
     sample = None
     if sampled < n_frames:
         sample = torch.linspace(0, n_frames - 1, sampled, device=device).round().long()
-    levels = torch.empty(encoder.count, n_frames, dtype=torch.uint8, device=device)
-    cuts = []
-    for numbers in torch.arange(encoder.count).split(_room(encoder, sampled)):
-        part = encoder.select(numbers)
-        values = _values(recording, part, sample, _at_a_time(part, observations))
-        quantiser = Quantiser.fit(values, encoder.dtype)
-        cuts.append(quantiser.cuts)
-        rows = slice(int(numbers[0]), int(numbers[-1]) + 1)
-        if sample is None:
-            levels[rows] = quantiser.levels(values)
-        else:
-            for frames in _chunks(n_frames, min(_at_a_time(part, observations), _room(part, part.count))):
-                del values  # before the next ones need as much
-                values = part.values(recording.seen(part, frames))
-                levels[rows, frames] = quantiser.levels(values)
-        del values
-        on_columns(len(numbers))
+    shares = Shares(encoder.count, ranks)
+    levels = torch.empty(len(shares.own), n_frames, dtype=torch.uint8, device=device)
+    cuts = [torch.empty(0, LEVELS - 1, dtype=encoder.dtype, device=device)]
+    with ranks.together():
+        for places in torch.arange(len(shares.own)).split(_room(encoder, sampled)):
+            part = encoder.select(shares.own[places])
+            values = _values(recording, part, sample, _at_a_time(part, observations))
+            quantiser = Quantiser.fit(values, encoder.dtype)
+            cuts.append(quantiser.cuts)
+            rows = slice(int(places[0]), int(places[-1]) + 1)
+            if sample is None:
+                levels[rows] = quantiser.levels(values)
+            else:
+                for frames in _chunks(n_frames, min(_at_a_time(part, observations), _room(part, part.count))):
+                    del values  # before the next ones need as much
+                    values = part.values(recording.seen(part, frames))
+                    levels[rows, frames] = quantiser.levels(values)
+            del values
+            on_columns(len(places))
     kinds = encoder.sees_pixels.cpu().long()
-    data = SortedLevels.unsorted(levels, kinds) if plan.drawn else SortedLevels.build(levels, kinds=kinds)
-    return encoder, Quantiser(torch.cat(cuts)), data
+    build = SortedLevels.unsorted if plan.drawn else SortedLevels.build
+    quantiser = Quantiser(shares.whole(torch.cat(cuts)))
+    return encoder, quantiser, build(levels, kinds=kinds, shares=shares)
 
 
 def with_mirror_images(
@@ -85,6 +91,7 @@ def with_mirror_images(
     if not bool(encoder.sees_pixels.all()):
         blind = encoder.names()[int((~encoder.sees_pixels).long().argmax())]
         raise ValueError(f"column {blind!r} has no mirror image: mirror cameras alone")
+    encoder, quantiser = encoder.select(data.shares.own), quantiser.select(data.shares.own)
     recording = _recording(observations, lengths, encoder)
     n_frames = recording.n_frames
     levels = torch.cat([data.levels, torch.empty_like(data.levels)], 1)
@@ -94,7 +101,7 @@ def with_mirror_images(
         levels[:, n_frames + frames.start : n_frames + frames.stop] = quantiser.levels(
             encoder.values(mirrored)
         )
-    return SortedLevels.unsorted(levels)
+    return SortedLevels.unsorted(levels, shares=data.shares)
 
 
 def _recording(

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Int32, Int64, UInt8
+from jaxtyping import Bool, Int32, Int64, UInt8
 from torch import Tensor
+
+from dpmacro.parallel import Shares
 
 __all__ = ["LEVELS", "SortedColumns", "SortedLevels"]
 
@@ -23,6 +25,7 @@ class SortedColumns:
     not read it.
     """
 
+    columns: Int64[Tensor, " columns"]  # their numbers
     order: Int32[Tensor, " entries"]  # frame numbers by ascending level, column after column
     starts: Int32[Tensor, "columns bins"]  # a bin's first entry; bins that a column lacks are empty
     thresholds: UInt8[Tensor, "columns bins"]  # the level of a bin
@@ -31,32 +34,43 @@ class SortedColumns:
 
 @dataclass(frozen=True)
 class SortedLevels:
-    """The levels of every column and, for the columns that are sorted, the frames in their order."""
+    """The levels of every column and, for the columns that are sorted, the frames in their order.
 
-    levels: UInt8[Tensor, "columns frames"]
-    columns: Int64[Tensor, " sorted"]  # which are sorted, ascending: all, none, or some that were taken
+    Where ranks train together each has its share of the columns, and searches those.
+    """
+
+    shares: Shares
+    levels: UInt8[Tensor, "own frames"]
+    is_sorted: bool  # whether all columns are, not just some that were taken, or none
+    columns: Int64[Tensor, " sorted"]  # which of the own are sorted, ascending
     order: Int32[Tensor, " entries"]
     ends: Int64[Tensor, " sorted"]  # where a column's entries end; on the CPU
     starts: Int32[Tensor, "sorted bins"]  # a bin's first entry within its column
     thresholds: UInt8[Tensor, "sorted bins"]
     counts: Int64[Tensor, " sorted"]  # a column's bins; on the CPU
     fullest: Int64[Tensor, " sorted"]
-    kinds: Int64[Tensor, " columns"] | None = None  # of every column; draws are shared out among the kinds
+    kinds: Int64[Tensor, " count"] | None = None  # of columns of all ranks; draws are shared among them
 
     @classmethod
     def build(
         cls,
-        levels: UInt8[Tensor, "columns frames"],
+        levels: UInt8[Tensor, "own frames"],
         columns: Int64[Tensor, " sorted"] | None = None,
-        kinds: Int64[Tensor, " columns"] | None = None,
+        kinds: Int64[Tensor, " count"] | None = None,
+        shares: Shares | None = None,
     ) -> "SortedLevels":
         """Sort all columns, or just `columns`, once; the rounds of all problems share the result.
+
+        `levels` are those of this rank's columns by `shares`; of all columns where there are none.
 
         The processor sorts wherever the levels are: NumPy sorts bytes by radix, several times faster than
         by comparison, in threads side by side.
         """
-        chosen = torch.arange(len(levels)) if columns is None else columns.cpu()
-        source = (levels if columns is None else levels[columns.to(levels.device)]).cpu().numpy()
+        shares = shares or Shares(len(levels))
+        chosen = shares.own if columns is None else columns.cpu()
+        source = (
+            (levels if columns is None else levels[shares.places(chosen).to(levels.device)]).cpu().numpy()
+        )
         histograms = np.empty((len(source), LEVELS), np.int32)
         parts = [range(k, min(k + PART, len(source))) for k in range(0, len(source), PART)]
 
@@ -81,7 +95,9 @@ class SortedLevels:
         starts, thresholds, counts, fullest = _bins(histograms, full_levels)
         device = levels.device
         return cls(
+            shares,
             levels,
+            columns is None,
             chosen.to(device),
             torch.from_numpy(order).to(device),
             torch.from_numpy(ends),
@@ -94,8 +110,8 @@ class SortedLevels:
 
     @property
     def n_columns(self) -> int:
-        """The number of feature columns, sorted or not."""
-        return self.levels.shape[0]
+        """The number of feature columns of all ranks, sorted or not."""
+        return self.shares.count
 
     @property
     def n_frames(self) -> int:
@@ -104,10 +120,28 @@ class SortedLevels:
 
     @classmethod
     def unsorted(
-        cls, levels: UInt8[Tensor, "columns frames"], kinds: Int64[Tensor, " columns"] | None = None
+        cls,
+        levels: UInt8[Tensor, "own frames"],
+        kinds: Int64[Tensor, " count"] | None = None,
+        shares: Shares | None = None,
     ) -> "SortedLevels":
         """No column sorted yet, which saves four bytes a level: `take` sorts what it takes."""
-        return cls.build(levels, torch.arange(0), kinds)
+        return cls.build(levels, torch.arange(0), kinds, shares)
+
+    def like(self, levels: UInt8[Tensor, "own others"], sort: bool | None = None) -> "SortedLevels":
+        """The same columns of other frames; sorted if these are, or as `sort` says."""
+        build = self.build if (self.is_sorted if sort is None else sort) else self.unsorted
+        return build(levels, kinds=self.kinds, shares=self.shares)
+
+    def rows(self, columns: Int64[Tensor, " some"]) -> UInt8[Tensor, "some frames"]:
+        """Levels of any columns, also of those that other ranks hold."""
+        return self.shares.rows(self.levels, columns.to(self.levels.device))
+
+    def above(
+        self, columns: Int64[Tensor, " some"], thresholds: UInt8[Tensor, " some"]
+    ) -> Bool[Tensor, "some frames"]:
+        """Whether the levels of any columns are above a threshold each."""
+        return self.shares.above(self.levels, columns, thresholds)
 
     def drawn(self, count: int, generator: torch.Generator) -> Int64[Tensor, " drawn"]:
         """Numbers of `count` columns drawn at random, ascending; as many of every kind as far as they go.
@@ -122,19 +156,23 @@ class SortedLevels:
         return order[:count].sort().values
 
     def take(self, columns: Int64[Tensor, " taken"]) -> "SortedLevels":
-        """Just these columns, ascending, sorted now where they are not."""
-        if len(self.columns) == 0:
-            return self.build(self.levels, columns)
-        assert len(self.columns) == self.n_columns, "taken from what was taken"
-        cpu, places = columns.cpu(), columns.to(self.columns.device)
+        """Just these columns, ascending, sorted now where they are not; a rank takes those of its own."""
+        columns = columns[self.shares.held(columns)]
+        if not self.is_sorted:
+            assert len(self.columns) == 0, "taken from what was taken"
+            return self.build(self.levels, columns, shares=self.shares)
+        cpu = self.shares.places(columns.cpu())
+        places = cpu.to(self.columns.device)
         sizes = self.ends.diff(prepend=self.ends.new_zeros(1))[cpu]
         firsts = (self.ends[cpu] - sizes).tolist()
         slices = [
             self.order[first : first + size] for first, size in zip(firsts, sizes.tolist(), strict=True)
         ]
         return SortedLevels(
+            self.shares,
             self.levels,
-            places,
+            False,
+            columns.to(self.columns.device),
             torch.cat(slices) if slices else self.order[:0],
             sizes.cumsum(0),
             self.starts[places],
@@ -171,6 +209,7 @@ class SortedLevels:
                 thresholds = thresholds.gather(1, lasts.clamp(min=0))
                 fullest = fullest // together[:, 0]
             yield SortedColumns(
+                self.columns[part],
                 self.order[offset : int(ends[-1])],
                 starts + before.to(starts.device)[:, None],
                 thresholds,

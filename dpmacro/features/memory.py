@@ -6,6 +6,7 @@ where the levels of all columns do not fit either, random columns are left out. 
 where they learn from mirror images: the levels once more, and those of the mirror images.
 """
 
+import math
 from dataclasses import dataclass
 
 __all__ = ["DRAWN", "GATHERED", "GIB", "LEAST_COLUMNS", "LIBRARIES", "SAMPLED", "VALUES", "Demand", "Plan"]
@@ -34,6 +35,7 @@ class Demand:
             losses, weights, sorted columns and mirror images.
         always: number of columns that are never left out, those without pixels.
         inputs: number of keys that are seen.
+        ranks: number of processes that hold a share of the columns each.
     """
 
     n_frames: int
@@ -44,6 +46,7 @@ class Demand:
     switch_bytes: int = 0
     always: int = 0
     inputs: int = 1
+    ranks: int = 1
 
     @property
     def remedies(self) -> str:
@@ -62,7 +65,7 @@ class Plan:
         columns: number of columns that are kept.
         of: number of columns that there were to choose from.
         drawn: number of columns that a boosting round searches at most; 0 for all, which are held sorted.
-        gibibytes: estimated peak of the memory that training takes, in GiB.
+        gibibytes: estimated peak of the memory that training takes, in GiB; that of every rank.
     """
 
     columns: int
@@ -81,12 +84,14 @@ class Plan:
         fixed = LIBRARIES + n_frames * demand.frame_bytes
         gathered = min(2 * min(n_frames, SAMPLED) * demand.frame_bytes, GATHERED)
         quantising = gathered + 4 * min(VALUES, n_columns * n_frames)
+        ranks = demand.ranks
         boosting = n_frames * demand.table_bytes
         switching = n_frames * demand.switch_bytes
         copied = 1 + demand.copies if demand.copies else 0  # the frames' own levels are copied, too
 
         def most(columns: int, drawn: int) -> float:
             """Of the plan; all columns are sorted where `drawn` is 0."""
+            columns, drawn = math.ceil(columns / ranks), math.ceil(drawn / ranks)
             order = 0 if drawn else SORTED * columns
             then = boosting + DRAWN * drawn * n_frames, switching + copied * columns * n_frames
             return (fixed + columns * n_frames + max(quantising, order * n_frames + max(then))) / GIB
@@ -102,10 +107,12 @@ class Plan:
             )
         room = limit * GIB - fixed
         kept = (
-            int((room - max(quantising, boosting + DRAWN * least * n_frames)) / n_frames),
-            int((room - switching) / ((1 + copied) * n_frames)),
+            int(
+                ranks * (room - max(quantising, boosting + DRAWN * -(-least // ranks) * n_frames)) / n_frames
+            ),
+            int(ranks * (room - switching) / ((1 + copied) * n_frames)),
         )
         columns = min(max(min(kept), fewest), n_columns)
-        drawn = int((room - boosting - columns * n_frames) / (DRAWN * n_frames))
+        drawn = int((ranks * (room - boosting) - columns * n_frames) / (DRAWN * n_frames))
         drawn = min(max(drawn, least), columns)
         return cls(columns, n_columns, drawn, most(columns, drawn))

@@ -57,8 +57,8 @@ class WeakLearners:
             seen, lengths = self._data.observations, self._data.lengths
             data = with_mirror_images(data, seen, lengths, columns.encoder, columns.quantiser)
         drawn = planner.switch_drawn or self._drawn
-        if drawn == 0 and len(data.columns) < data.n_columns:
-            data = SortedLevels.build(data.levels, kinds=data.kinds)
+        if drawn == 0 and not data.is_sorted:
+            data = data.like(data.levels, sort=True)
         return StumpLearner(data, drawn)
 
     def _networks(self, mirror: bool) -> ConvNetLearner:

@@ -6,6 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dpmacro.boosting.learners.base import Frames
 from dpmacro.boosting.learners.convnet import ConvNetLearner
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting
@@ -97,7 +98,7 @@ def test_the_loss_never_rises(seed, delta, shrinkage):
         before = now
     strong = boosting.strong()
     torch.testing.assert_close(
-        strong.scores(learner.frames(slice(None))), boosting.scores, rtol=1e-4, atol=1e-4
+        strong.scores(Frames(learner.data.levels)), boosting.scores, rtol=1e-4, atol=1e-4
     )
 
 

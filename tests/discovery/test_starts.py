@@ -11,6 +11,7 @@ from dpmacro.discovery.starts import (
     random_cuts,
     uniform_cuts,
 )
+from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import transition_counts
 
 
@@ -27,11 +28,11 @@ def test_the_bound_holds_and_a_seed_repeats(lengths, macros, bound, seed):
     lengths = torch.tensor(lengths)
     for start in (
         lambda g: action_events(actions, lengths, 3, macros, bound, g),
-        lambda g: initial_segmentations(levels, actions, lengths, 3, macros, bound, g),
+        lambda g: initial_segmentations(SortedLevels.unsorted(levels), actions, lengths, 3, macros, bound, g),
         lambda g: uniform_cuts(lengths, macros, bound).expand(3, -1),
         lambda g: random_cuts(lengths, 3, macros, bound, g),
-        lambda g: feature_peaks(levels, lengths, 3, macros, bound, g),
-        lambda g: feature_peaks(levels, lengths, 3, macros, bound, g, actions),
+        lambda g: feature_peaks(SortedLevels.unsorted(levels), lengths, 3, macros, bound, g),
+        lambda g: feature_peaks(SortedLevels.unsorted(levels), lengths, 3, macros, bound, g, actions),
     ):
         labels = start(torch.Generator().manual_seed(seed))
         assert torch.equal(labels, start(torch.Generator().manual_seed(seed)))
@@ -43,7 +44,9 @@ def test_the_bound_holds_and_a_seed_repeats(lengths, macros, bound, seed):
 
 def test_feature_peaks_cut_where_a_feature_is_extreme():
     levels = torch.tensor([[5, 9, 1, 9, 4, 2, 7, 0, 7, 3]], dtype=torch.uint8)
-    labels = feature_peaks(levels, torch.tensor([5, 5]), 40, 2, 1, torch.Generator().manual_seed(0))
+    labels = feature_peaks(
+        SortedLevels.unsorted(levels), torch.tensor([5, 5]), 40, 2, 1, torch.Generator().manual_seed(0)
+    )
     starts = {tuple(row.tolist()) for row in labels}
     assert starts == {(0, 1, 1, 1, 1, 0, 1, 1, 1, 1), (0, 0, 1, 1, 1, 0, 0, 1, 1, 1)}
 
@@ -52,7 +55,7 @@ def test_feature_peaks_may_be_cut_only_where_the_action_changes():
     levels = torch.tensor([[5, 9, 1, 9, 4, 2, 7, 0, 7, 3]], dtype=torch.uint8)
     actions = torch.tensor([0, 0, 1, 1, 2, 2, 2, 2, 2, 2])
     generator = torch.Generator().manual_seed(0)
-    labels = feature_peaks(levels, torch.tensor([5, 5]), 40, 2, 1, generator, actions)
+    labels = feature_peaks(SortedLevels.unsorted(levels), torch.tensor([5, 5]), 40, 2, 1, generator, actions)
     # The second trajectory, where no action follows another, is cut anywhere.
     starts = {tuple(row.tolist()) for row in labels}
     assert starts == {(0, 0, 0, 0, 1, 0, 1, 1, 1, 1), (0, 0, 1, 1, 1, 0, 0, 1, 1, 1)}
@@ -85,6 +88,12 @@ def test_as_many_starts_as_restarts():
     actions = torch.randint(0, 3, (40,))
     for restarts in (1, 2, 3, 4, 5, 32):
         starts = initial_segmentations(
-            levels, actions, torch.tensor([25, 15]), restarts, 2, 1, torch.Generator().manual_seed(0)
+            SortedLevels.unsorted(levels),
+            actions,
+            torch.tensor([25, 15]),
+            restarts,
+            2,
+            1,
+            torch.Generator().manual_seed(0),
         )
         assert starts.shape == (restarts, 40)

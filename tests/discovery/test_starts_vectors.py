@@ -40,9 +40,16 @@ def task_of(actions, lengths, macros, bound, order="free", seed=0):
 
 
 def all_starts(levels, task, seed=0):
-    evidence = evidence_of(levels, task, seeded(seed))
+    evidence = evidence_of(SortedLevels.unsorted(levels), task, seeded(seed))
     moments = Moments(evidence)
-    kinds = vector_starts(levels, evidence, moments, 2 * len(KINDS), seeded(seed), dict.fromkeys(KINDS, 1))
+    kinds = vector_starts(
+        SortedLevels.unsorted(levels),
+        evidence,
+        moments,
+        2 * len(KINDS),
+        seeded(seed),
+        dict.fromkeys(KINDS, 1),
+    )
     kinds["linear"] = linear_alternation(evidence, torch.cat(list(kinds.values())), moments).labels
     return kinds
 
@@ -146,7 +153,7 @@ def cuts_found(labels, lengths, tolerance):
 )
 def test_each_kind_finds_the_cuts_that_it_is_made_for(toy, kind, tolerance):
     levels, actions, lengths, _ = toy
-    evidence = evidence_of(levels, task_of(actions, lengths, 3, 2), seeded())
+    evidence = evidence_of(SortedLevels.unsorted(levels), task_of(actions, lengths, 3, 2), seeded())
     moments = Moments(evidence)
     starts = {
         "jumps": lambda: cut_at(jump_places, evidence, 2, seeded()),
@@ -211,15 +218,18 @@ def test_centres_of_clusters_even_of_one_point():
 
 def test_components_are_uncorrelated_and_none_of_flat_columns():
     levels = torch.randint(0, 256, (6, 500), dtype=torch.uint8, generator=seeded())
-    found = principal(levels, 4, seeded())
+    found = principal(SortedLevels.unsorted(levels), 4, seeded())
     torch.testing.assert_close(found.T @ found / 500, torch.eye(4), atol=1e-3, rtol=0)
-    assert principal(torch.full((3, 20), 7, dtype=torch.uint8), 4, seeded()).shape == (20, 0)
+    assert principal(SortedLevels.unsorted(torch.full((3, 20), 7, dtype=torch.uint8)), 4, seeded()).shape == (
+        20,
+        0,
+    )
 
 
 def test_peaks_of_vectors_only_where_the_action_changes_much():
     levels = torch.tensor([[5, 9, 1, 9, 4]], dtype=torch.uint8)
     actions = torch.tensor([[0.0], [0.0], [0.1], [0.1], [5.0]])
-    labels = feature_peaks(levels, torch.tensor([5]), 10, 2, 1, seeded(), actions)
+    labels = feature_peaks(SortedLevels.unsorted(levels), torch.tensor([5]), 10, 2, 1, seeded(), actions)
     assert {tuple(row.tolist()) for row in labels} == {(0, 0, 0, 0, 1)}
 
 

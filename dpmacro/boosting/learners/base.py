@@ -4,6 +4,7 @@ A round fits many independent problems at once (a problem is a macro-class, a re
 switch function, a cross-validation fold). All problems share the frames; their weights differ.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -71,8 +72,10 @@ class WeakLearner(Protocol[Hypotheses, Memory]):
         """Where the frames are."""
         ...
 
-    def frames(self, part: slice) -> Frames:
-        """Some of the training frames, as its strong classifiers look at them."""
+    def shown(
+        self, strong: StrongClassifier, n_frames: int, size: int
+    ) -> tuple[StrongClassifier, Iterator[Frames]]:
+        """The classifiers, and the first training frames as they look at them, `size` at a time."""
         ...
 
     def fit(

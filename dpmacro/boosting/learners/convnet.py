@@ -12,6 +12,7 @@ There is no line search: on the demonstrations' training frames it never shorten
 factors were 1.2 to 4), and `Boosting` leaves out one that raises the loss.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -173,10 +174,16 @@ class ConvNetLearner:
         """Where the images are."""
         return self.images.device
 
-    def frames(self, part: slice) -> Frames:
-        """Some of the training frames, by their images alone."""
-        images, previous = self.images[part], self.images[self.previous[part]]
-        return Frames(images.new_empty(0, len(images)), images, previous)
+    def shown(
+        self, strong: ConvNetClassifier, n_frames: int, size: int
+    ) -> tuple[ConvNetClassifier, Iterator[Frames]]:
+        """The classifiers, and the first training frames as they look at them, `size` at a time."""
+        parts = (slice(k, min(k + size, n_frames)) for k in range(0, n_frames, size))
+        return strong, (self._frames(part) for part in parts)
+
+    def _frames(self, part: slice) -> Frames:
+        images = self.images[part]
+        return Frames(images.new_empty(0, len(images)), images, self.images[self.previous[part]])
 
     def fit(
         self,

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int64, Shaped, UInt8
+from jaxtyping import Float, Float64, Int64, Shaped, UInt8
 from torch import Tensor
 
 from dpmacro.boosting.learners.base import HEAVIEST, Frames, overflow
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.features.levels import LEVELS, SortedColumns, SortedLevels
+from dpmacro.parallel import Ranks
 from dpmacro.utils.stages import storable
 
 __all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps", "sweep"]
@@ -127,7 +128,7 @@ class StumpLearner:
     def __post_init__(self) -> None:
         if self.reuse < 1 or self.drawn < 0:
             raise ValueError(f"reuse is {self.reuse} and drawn {self.drawn}: give 1 or more, 0 or more")
-        if self.drawn == 0 and len(self.data.columns) < self.data.n_columns:
+        if self.drawn == 0 and not self.data.is_sorted:
             raise ValueError("drawn is 0 but no column is sorted: draw columns, or sort them all")
 
     @property
@@ -140,9 +141,14 @@ class StumpLearner:
         """Where the columns are."""
         return self.data.levels.device
 
-    def frames(self, part: slice) -> Frames:
-        """Some of the training frames, by their levels alone."""
-        return Frames(self.data.levels[:, part])
+    def shown(
+        self, strong: StumpClassifier, n_frames: int, size: int
+    ) -> tuple[StumpClassifier, Iterator[Frames]]:
+        """The classifiers, and the first training frames as they look at them, `size` at a time."""
+        used = strong.used_columns()
+        used = used if len(used) else torch.zeros(1, dtype=torch.int64, device=used.device)
+        parts = (self.data.levels[:, k : min(k + size, n_frames)] for k in range(0, n_frames, size))
+        return strong.renumbered(used), (Frames(self.data.shares.rows(part, used)) for part in parts)
 
     def fit(
         self,
@@ -157,26 +163,22 @@ class StumpLearner:
         shortlisting = self.reuse > 1 and self.drawn == 0 and memory is None
         held = (weights > 0).any(2).sum(0).clamp(min=1)
         slack = self.smoothing * weights.sum((0, 2)) / (held * weights.shape[2])
-        found, minima, first = [], [], 0
+        found, minima = [], []
         for chunk, below, left in sweep(search.data, weights, responses, loss, slack, self.bins):
-            found.append(_lowest(left, below, chunk.thresholds, first))
-            first += len(chunk.thresholds)
+            found.append(_lowest(left, below, chunk))
             if shortlisting:
                 minima.append(left.amin(1))
-        values, places, thresholds, sides = (torch.stack(part) for part in zip(*found, strict=True))
-        chunk_of = values.argmin(0)
-        problems = torch.arange(len(chunk_of), device=self.device)
-        votes = loss.votes(sides[chunk_of, problems], slack)
-        columns = search.data.columns[places[chunk_of, problems]]
-        stumps = Stumps(columns, thresholds[chunk_of, problems], votes)
+        if not found:  # other ranks hold the columns
+            found = [_Best.none(loss.table(weights[:1], responses[:1])[0])]
+        best = _Best.among(found).of_all(search.data.shares.ranks)
+        stumps = Stumps(best.columns, best.thresholds, loss.votes(best.sides, slack))
         if shortlisting:
-            best = torch.cat(minima).topk(min(SHORTLIST, self.data.n_columns), dim=0, largest=False).indices
-            return stumps, Search(self.data.take(best.unique()), self.reuse - 1)
+            return stumps, Search(self.data.take(self._shortlist(minima, weights.shape[1])), self.reuse - 1)
         return stumps, Search(search.data, search.rounds - 1) if search.rounds > 1 else None
 
     def outputs(self, hypotheses: Stumps) -> Float[Tensor, "frames problems classes"]:
         """h^m(x) of the training frames."""
-        above = self.data.levels[hypotheses.columns] > hypotheses.thresholds[:, None]
+        above = self.data.above(hypotheses.columns, hypotheses.thresholds)
         low, high = hypotheses.votes.unbind(1)
         return torch.where(above.T[:, :, None], high, low)
 
@@ -192,11 +194,61 @@ class StumpLearner:
 
     def _search(self, generator: torch.Generator) -> Search:
         n_columns = self.data.n_columns
-        if self.drawn == 0 or (self.drawn >= n_columns and len(self.data.columns)):
+        if self.drawn == 0 or (self.drawn >= n_columns and self.data.is_sorted):
             return Search(self.data, 1)
         columns = self.data.drawn(self.drawn, generator)
-        rounds = self.reuse if len(self.data.columns) else max(self.reuse, REDRAWN)
+        rounds = self.reuse if self.data.is_sorted else max(self.reuse, REDRAWN)
         return Search(self.data.take(columns), rounds)
+
+    def _shortlist(
+        self, minima: list[Float[Tensor, "_ problems"]], n_problems: int
+    ) -> Int64[Tensor, " shortlisted"]:
+        """The `SHORTLIST` columns that leave each problem least, the first of equals."""
+        own = torch.cat(minima) if minima else torch.zeros(0, n_problems, device=self.device)
+        left = self.data.shares.whole(own)
+        return left.argsort(dim=0, stable=True)[:SHORTLIST].unique()
+
+
+@dataclass(frozen=True)
+class _Best:
+    """The best stump of every problem in some columns: what it leaves of the loss, and sums on its sides."""
+
+    left: Float[Tensor, " problems"]
+    columns: Int64[Tensor, " problems"]
+    thresholds: UInt8[Tensor, " problems"]
+    sides: Float[Tensor, "problems 2 rows entries"]  # below the threshold, then in all
+
+    @classmethod
+    def none(cls, row: Float[Tensor, "rows entries problems"]) -> "_Best":
+        """Of no columns; `row` is one of the loss's table."""
+        shape = row.shape[2], 2, *row.shape[:2]
+        nowhere = torch.zeros(shape[0], dtype=torch.int64, device=row.device)
+        return cls(row.new_full(shape[:1], torch.inf), nowhere, nowhere.byte(), row.new_zeros(shape))
+
+    @classmethod
+    def among(cls, found: "list[_Best]") -> "_Best":
+        """Of several the one that leaves least, and of equals that of the first column, for every problem."""
+        left, columns = torch.stack([one.left for one in found]), torch.stack([one.columns for one in found])
+        place = torch.where(left == left.amin(0), columns, torch.iinfo(columns.dtype).max).argmin(0)
+        problems = torch.arange(len(place), device=place.device)
+        thresholds, sides = (
+            torch.stack([getattr(one, name) for one in found])[place, problems]
+            for name in ("thresholds", "sides")
+        )
+        return cls(left[place, problems], columns[place, problems], thresholds, sides)
+
+    def of_all(self, ranks: Ranks) -> "_Best":
+        """The best of what this is on every rank; moves a few numbers a problem."""
+        if ranks.size == 1:
+            return self
+        own = [self.left, self.columns, self.thresholds, self.sides.flatten(1).T]
+        told = ranks.gathered(torch.cat([one.double().reshape(-1, len(self.left)) for one in own]))
+        return _Best.among([self._unpacked(one) for one in told])
+
+    def _unpacked(self, told: Float64[Tensor, "values problems"]) -> "_Best":
+        """What a rank has told, in the types and shapes of this."""
+        sides = told[3:].T.to(self.sides.dtype).view_as(self.sides)
+        return _Best(told[0].to(self.left.dtype), told[1].long(), told[2].byte(), sides)
 
 
 def sweep(
@@ -225,7 +277,7 @@ def sweep(
         raise ValueError(overflow(weights))
     slack = weights.new_zeros(weights.shape[1]) if slack is None else slack
     for chunk in data.chunks(_columns_at_a_time(table, bins), bins):
-        below = _histograms(chunk, table, total, loss.signed).cumsum_(1).unflatten(2, rows.shape[1:])
+        below = _sums_up_to(chunk, table, total, loss.signed).unflatten(2, rows.shape[1:])
         yield chunk, below, loss.split(below, slack)
 
 
@@ -235,31 +287,39 @@ def _columns_at_a_time(table: Float[Tensor, "frames entries"], bins: int) -> int
     return min(max(room // (bins * table.shape[1]), 1), 128)
 
 
-def _histograms(
+def _sums_up_to(
     chunk: SortedColumns,
     table: Float[Tensor, "frames entries"],
     total: Float[Tensor, " entries"],
     signed: bool,
 ) -> Float[Tensor, "columns bins entries"]:
-    """Sums in every bin: sorted frames are the bags' indices; the fullest bin gets what they leave."""
+    """Sums up to every bin: sorted frames are the bags' indices; the fullest bin gets what they leave.
+
+    A column's sums are added up one after another, so they are the same in whatever chunk it is.
+    """
     sums = torch.nn.functional.embedding_bag(chunk.order, table, chunk.starts.flatten(), mode="sum")
-    sums = sums.unflatten(0, chunk.starts.shape)
-    rest = total - sums.sum(1)
+    below = sums.unflatten(0, chunk.starts.shape).cumsum_(1)
+    rest = total - below[:, -1]
     if not signed:
         rest.clamp_(min=0)
-    sums[torch.arange(len(sums), device=sums.device), chunk.fullest] += rest
-    return sums
+    bins = torch.arange(below.shape[1], device=below.device)
+    reached = (bins >= chunk.fullest[:, None]).to(below.dtype)
+    return below.addcmul_(reached[:, :, None], rest[:, None])
 
 
 def _lowest(
     left: Float[Tensor, "columns bins problems"],
     below: Float[Tensor, "columns bins rows entries problems"],
-    thresholds: UInt8[Tensor, "columns bins"],
-    first: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """What is left, column from `first` on, threshold and sums [below, in all] of every problem's best."""
+    chunk: SortedColumns,
+) -> _Best:
+    """The best of a chunk's columns."""
     place = left.flatten(0, 1).argmin(0)
     bins, problems = left.shape[1], torch.arange(len(place), device=place.device)
     column, bin_ = place // bins, place % bins
     pairs = below[column, bin_, :, :, problems], below[column, -1, :, :, problems]
-    return left[column, bin_, problems], column + first, thresholds[column, bin_], torch.stack(pairs, 1)
+    return _Best(
+        left[column, bin_, problems],
+        chunk.columns[column],
+        chunk.thresholds[column, bin_],
+        torch.stack(pairs, 1),
+    )

@@ -73,8 +73,8 @@ class HuberLoss:
         ridge = (RIDGE * slack).clamp(min=torch.finfo(slack.dtype).tiny)
         left = below[:, :, 0]
         total = left[:, -1:]
-        low = left[:, :, :-1].square().sum(2).div_(left[:, :, -1].clamp(min=0).add_(ridge))
-        high = (total[:, :, :-1] - left[:, :, :-1]).square_().sum(2)
+        low = _squares(left[:, :, :-1]).div_(left[:, :, -1].clamp(min=0).add_(ridge))
+        high = _squares(total[:, :, :-1] - left[:, :, :-1])
         high.div_((total[:, :, -1] - left[:, :, -1]).clamp_(min=0).add_(ridge))
         return low.add_(high).mul_(-0.5)
 
@@ -125,3 +125,12 @@ class HuberLoss:
         """Mean square of the residuals over that of the actions, 1 at most."""
         unexplained = (actions - scores).square().mean()
         return float((unexplained / actions.square().mean().clamp(min=1e-12)).clamp(max=1))
+
+
+def _squares(sums: Float[Tensor, "columns bins dims problems"]) -> Float[Tensor, "columns bins problems"]:
+    """|G|^2, added up in the order of the dimensions however many columns there are."""
+    first, *others = sums.unbind(2)
+    result = first.square()
+    for one in others:
+        result.addcmul_(one, one)
+    return result

@@ -1,17 +1,18 @@
 """Initial segmentations where actions are classes."""
 
 import torch
-from jaxtyping import Int64, UInt8
+from jaxtyping import Int64
 from torch import Tensor
 
 from dpmacro.discovery.starts.cuts import feature_peaks, random_cuts, uniform_cuts
+from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 
 __all__ = ["action_events", "initial_segmentations"]
 
 
 def initial_segmentations(
-    levels: UInt8[Tensor, "columns frames"],
+    data: SortedLevels,
     actions: Int64[Tensor, " frames"],
     lengths: Int64[Tensor, " trajectories"],
     restarts: int,
@@ -24,7 +25,7 @@ def initial_segmentations(
     n_random = restarts - n_peaks - n_events - n_uniform
     bounds = macros, max_transitions
     starts = [
-        feature_peaks(levels, lengths, n_peaks, *bounds, generator),
+        feature_peaks(data, lengths, n_peaks, *bounds, generator),
         action_events(actions, lengths, n_events, *bounds, generator),
         uniform_cuts(lengths, *bounds)[:n_uniform],
         random_cuts(lengths, n_random, *bounds, generator),

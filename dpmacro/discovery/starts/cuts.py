@@ -1,8 +1,10 @@
 """Segmentations cut at random, at equal distances, or where features are extreme."""
 
 import torch
-from jaxtyping import Bool, Int64, Num, UInt8
+from jaxtyping import Bool, Int64, Num
 from torch import Tensor
+
+from dpmacro.features.levels import SortedLevels
 
 __all__ = ["feature_peaks", "random_cuts", "uniform_cuts"]
 
@@ -25,7 +27,7 @@ def random_cuts(
 
 
 def feature_peaks(
-    levels: UInt8[Tensor, "columns frames"],
+    data: SortedLevels,
     lengths: Int64[Tensor, " trajectories"],
     restarts: int,
     macros: int,
@@ -44,9 +46,9 @@ def feature_peaks(
     vectors another action is one further away than is usual, by the changes of all frames.
     """
     shape = (restarts, max_transitions)
-    columns = torch.randint(len(levels), shape, generator=generator)
+    columns = torch.randint(data.n_columns, shape, generator=generator)
     falling = torch.randint(2, shape, generator=generator, dtype=torch.bool)
-    drawn = levels[columns.to(levels.device)].cpu().short()  # [restarts, S, frames]
+    drawn = data.rows(columns.flatten()).unflatten(0, shape).cpu().short()  # [restarts, S, frames]
     heights = torch.where(falling[:, :, None], -drawn, drawn)
     allowed = torch.ones(drawn.shape[2], dtype=torch.bool)
     if actions is not None:

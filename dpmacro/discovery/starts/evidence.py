@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int64, UInt8
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
+from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 
 __all__ = ["Evidence", "best_places", "firsts", "in_turn", "k_means", "principal", "window_means"]
@@ -53,11 +54,11 @@ class Evidence:
 
 
 def principal(
-    levels: UInt8[Tensor, "columns frames"], count: int, generator: torch.Generator
+    data: SortedLevels, count: int, generator: torch.Generator
 ) -> Float[Tensor, "frames components"]:
     """Up to `count` principal components of the columns' levels, each with variance 1; fewer where flat."""
-    chosen = torch.randperm(len(levels), generator=generator)[:COLUMNS].sort().values
-    own = levels[chosen.to(levels.device)].cpu()
+    chosen = torch.randperm(data.n_columns, generator=generator)[:COLUMNS].sort().values
+    own = data.rows(chosen).cpu()
     step = max(own.shape[1] // SAMPLE, 1)
     sample = own[:, ::step].double()
     mean, deviation = sample.mean(1, keepdim=True), sample.std(1, correction=0, keepdim=True)

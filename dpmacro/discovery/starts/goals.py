@@ -6,6 +6,7 @@ from torch import Tensor
 
 from dpmacro.discovery.starts.events import jump_places, shift_places, slow_places, stacked
 from dpmacro.discovery.starts.evidence import Evidence, firsts, in_turn
+from dpmacro.features.levels import SortedLevels
 
 __all__ = ["by_goals", "goals"]
 
@@ -15,7 +16,7 @@ WIDEST = 8  # levels on either side of a condition's
 
 
 def by_goals(
-    levels: UInt8[Tensor, "columns frames"], evidence: Evidence, restarts: int, generator: torch.Generator
+    data: SortedLevels, evidence: Evidence, restarts: int, generator: torch.Generator
 ) -> Int64[Tensor, "restarts frames"]:
     """Cuts at shifts, mostly, or at jumps or slow moments; pieces that end alike are the same macro-action.
 
@@ -28,12 +29,12 @@ def by_goals(
         if evidence.chain:
             starts.append(in_turn(changes, evidence.lengths, evidence.macros))
             continue
-        most = min(COLUMNS, len(levels))
-        columns = torch.randperm(len(levels), generator=generator)[
+        most = min(COLUMNS, data.n_columns)
+        columns = torch.randperm(data.n_columns, generator=generator)[
             : most if restart % 4 == 0 else -(-most // 2)
         ]
         reach = 1 + int(torch.randint(WIDEST, (1,), generator=generator))
-        own = levels[columns.to(levels.device)].cpu()
+        own = data.rows(columns).cpu()
         starts.append(goals(own, changes, evidence, reach))
     return stacked(starts, evidence)
 

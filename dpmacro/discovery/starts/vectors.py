@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 
 import torch
-from jaxtyping import Int64, UInt8
+from jaxtyping import Int64
 from torch import Tensor
 
 from dpmacro.discovery.candidates import Task
@@ -14,6 +14,7 @@ from dpmacro.discovery.starts.events import cut_at, jump_places, shift_places, s
 from dpmacro.discovery.starts.evidence import Evidence, principal
 from dpmacro.discovery.starts.goals import by_goals
 from dpmacro.discovery.starts.linear import Moments
+from dpmacro.features.levels import SortedLevels
 
 __all__ = ["KINDS", "evidence_of", "vector_starts"]
 
@@ -34,15 +35,15 @@ KINDS = tuple(SHARES)
 COMPONENTS = 16  # of the columns
 
 
-def evidence_of(levels: UInt8[Tensor, "columns frames"], task: Task, generator: torch.Generator) -> Evidence:
+def evidence_of(data: SortedLevels, task: Task, generator: torch.Generator) -> Evidence:
     """What the starts of a task look at."""
-    components = principal(levels, COMPONENTS, generator)
+    components = principal(data, COMPONENTS, generator)
     bounds = task.macros, task.max_transitions, task.order == "chain"
     return Evidence(task.actions.cpu(), components, task.lengths, *bounds)
 
 
 def vector_starts(
-    levels: UInt8[Tensor, "columns frames"],
+    data: SortedLevels,
     evidence: Evidence,
     moments: Moments,
     restarts: int,
@@ -58,11 +59,11 @@ def vector_starts(
                 random_cuts(evidence.lengths, max(n - 1, 0), *bounds, generator),
             ]
         ),
-        "peaks": lambda n: feature_peaks(levels, evidence.lengths, n, *bounds, generator),
+        "peaks": lambda n: feature_peaks(data, evidence.lengths, n, *bounds, generator),
         "jumps": lambda n: cut_at(jump_places, evidence, n, generator),
         "shifts": lambda n: cut_at(shift_places, evidence, n, generator),
         "slow": lambda n: cut_at(slow_places, evidence, n, generator),
-        "goals": lambda n: by_goals(levels, evidence, n, generator),
+        "goals": lambda n: by_goals(data, evidence, n, generator),
         "windows": lambda n: window_clusters(evidence, n, generator),
         "merged": lambda n: merged_pieces(evidence, n, generator, moments),
         "spectral": lambda n: spectral_windows(evidence, n, generator, moments),

@@ -1,0 +1,133 @@
+"""The processes of one training and what they tell one another, on torch's own engine.
+
+`torchrun --nproc_per_node=R` starts R ranks. Each runs the same program on the same scores; what is divided
+among them (dpmacro/parallel/shares.py) is exchanged here, and all of them go on with the same numbers.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import TypeVar
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+__all__ = ["ALONE", "Ranks", "joined"]
+
+PATIENCE = timedelta(hours=2)  # for a rank that lives and is late; one that has died is known at once
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """One of the processes, which has number `rank` of `size`; a training without others has one.
+
+    Every method is a meeting: all ranks call the same ones in the same order. ConnectionError where another
+    rank has ended.
+    """
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """Whether this is the rank that writes and prints."""
+        return self.rank == 0
+
+    def gathered(self, own: Tensor) -> Tensor:
+        """The tensors [...] of all ranks, of one shape, as [ranks ...]."""
+        if self.size == 1:
+            return own[None]
+        own = own.contiguous()
+        found = [torch.empty_like(own) for _ in range(self.size)]
+        with self._meeting():
+            dist.all_gather(found, own)
+        return torch.stack(found)
+
+    def summed(self, own: Tensor) -> Tensor:
+        """The sum of all ranks' tensors, of one shape; `own` is overwritten."""
+        if self.size == 1:
+            return own
+        with self._meeting():
+            dist.all_reduce(own)
+        return own
+
+    def told(self, value: T) -> T:
+        """What the leading rank has as `value`; that of others counts for nothing."""
+        if self.size == 1:
+            return value
+        found = [value]
+        with self._meeting():
+            dist.broadcast_object_list(found)
+        return found[0]
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Work without meetings, in which each rank has its own part: an error of one ends all alike.
+
+        Raises the ValueError or OSError of the first rank that has one, on all ranks.
+        """
+        error = None
+        try:
+            yield
+        except (ValueError, OSError) as own:
+            error = own
+        found: list[str | None] = [None if error is None else str(error)]
+        if self.size > 1:
+            found *= self.size
+            with self._meeting():
+                dist.all_gather_object(found, found[0])
+        if error is not None:
+            raise error
+        for told in found:
+            if told is not None:
+                raise ValueError(told)
+
+    @contextmanager
+    def _meeting(self) -> Iterator[None]:
+        try:
+            yield
+        except RuntimeError as error:
+            line = " ".join(str(error).split())[:200]
+            raise ConnectionError(
+                f"rank {self.rank} of {self.size} ends since another rank has ended, see what that one said "
+                f"({line})"
+            ) from error
+
+
+ALONE = Ranks()
+
+
+@contextmanager
+def joined(device: str = "cpu") -> Iterator[Ranks]:
+    """All ranks that torchrun has started, until the block is left; `ALONE` where it has started none.
+
+    Ranks on `device` "cpu" meet over gloo, those on GPUs over nccl, each rank with a GPU of its own.
+
+    Raises ValueError where a machine has fewer GPUs than ranks, ConnectionError where the ranks do not meet.
+    """
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1 or "RANK" not in os.environ:
+        yield ALONE
+        return
+    ranks, here = (
+        Ranks(int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])),
+        int(os.environ["LOCAL_RANK"]),
+    )
+    gpu = torch.device(device).type == "cuda"
+    if gpu and here >= torch.cuda.device_count():
+        raise ValueError(
+            f"{os.environ['LOCAL_WORLD_SIZE']} ranks are on a machine with {torch.cuda.device_count()} GPUs: "
+            "give --nproc_per_node=that, or --device=cpu"
+        )
+    if gpu:
+        torch.cuda.set_device(here)
+    with ranks._meeting():
+        dist.init_process_group("nccl" if gpu else "gloo", timeout=PATIENCE)
+    try:
+        yield ranks
+    finally:
+        dist.destroy_process_group()
