@@ -5,6 +5,7 @@
     python train.py --dataset.root=datasets/two_flags --dataset.labels=corrections.json
     python train.py --dataset.root=datasets/two_flags --dagger.iterations=5
     python train.py --config_path=<run>/checkpoints/last/pretrained_model/train_config.json --resume=true
+    torchrun --nproc_per_node=4 train.py --dataset.root=datasets/two_flags
 
 Finds macro-actions, fits a strong classifier to each and switch functions between them, and saves a policy
 for eval.py in `<output_dir>/checkpoints/last/pretrained_model`, pictures and TensorBoard events beside it.
@@ -13,14 +14,18 @@ cut anew.
 With `--dagger.iterations` the planner then runs in its world, the world's teacher labels those runs with
 actions, and training repeats with them; the planner that succeeds most in validation worlds is kept.
 A run that was stopped goes on with `--resume=true`, and ends as if nothing had stopped it.
+Processes that torchrun starts, on one machine or more, divide the feature columns and train the same policy.
 """
 
 if __name__ in ("__main__", "__mp_main__"):
     import dpmacro.utils.starting  # noqa: F401  Ctrl-C during the imports below is one line
 
 import math
+import os
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,9 +36,11 @@ from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.discovery.model_order import Choice
 from dpmacro.metrics import boundary_counts, frame_accuracy
 from dpmacro.metrics.success import wilson_interval
+from dpmacro.parallel import Ranks, joined
 from dpmacro.segmentation.segments import transition_counts
 from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
+from dpmacro.training.learners import check_divisible
 from dpmacro.training.options import TrainOptions
 from dpmacro.training.resuming import check_unchanged, kept_stages, path_of
 from dpmacro.training.run_folder import RunFolder, plain_options
@@ -49,6 +56,17 @@ TOLERANCE = 10  # frames by which a found change point may miss a true one
 
 
 def main(options: TrainOptions) -> None:
+    with joined(options.device) as ranks:
+        if ranks.size > 1:
+            check_divisible(options)
+        if ranks.leads:
+            lead(options, ranks)
+        else:
+            help_(options, ranks)
+
+
+def lead(options: TrainOptions, ranks: Ranks) -> None:
+    """The work of the rank that writes and prints, or of the only one."""
     path = path_of(options)
     with RunFolder.claimed(path, options.resume) as folder, telling_what_is_safe(folder.path, folder.saved):
         if options.resume and folder.over:
@@ -56,17 +74,35 @@ def main(options: TrainOptions) -> None:
             return
         if options.resume:
             check_unchanged(options, folder)
-        train(options, folder)
+        train(options, folder, ranks)
 
 
-def train(options: TrainOptions, folder: RunFolder) -> None:
+def help_(options: TrainOptions, ranks: Ranks) -> None:
+    """The work of another rank, which is silent: what is wrong is said by the one that leads."""
+    try:
+        with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+            folder, asked = RunFolder(path_of(options), resume=True), options
+            with ranks.together():
+                demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit)
+            options, given = labelled(options, demonstrations)
+            with kept_stages(folder, asked, demonstrations, given, ranks):
+                Trainer(demonstrations, options, folder, given, ranks).help()
+    except ConnectionError:
+        raise
+    except (ValueError, OSError):
+        sys.exit(cli.USAGE_ERROR)
+
+
+def train(options: TrainOptions, folder: RunFolder, ranks: Ranks) -> None:
     """Train, print what was found, and write it down."""
-    demonstrations, asked = read_demonstrations(options.dataset, options.planner.memory_limit), options
+    asked = options
+    with ranks.together():
+        demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit)
     options, given = labelled(options, demonstrations)
     started = time.perf_counter()
     try:
-        with kept_stages(folder, asked, demonstrations, given):
-            result = trained(demonstrations, options, folder, given)
+        with kept_stages(folder, asked, demonstrations, given, ranks):
+            result = trained(demonstrations, options, folder, given, ranks)
     except KeyboardInterrupt:
         print(folder.saved(), file=sys.stderr)
         raise
@@ -81,11 +117,15 @@ def train(options: TrainOptions, folder: RunFolder) -> None:
 
 
 def trained(
-    demonstrations: Demonstrations, options: TrainOptions, folder: RunFolder, given: torch.Tensor | None
+    demonstrations: Demonstrations,
+    options: TrainOptions,
+    folder: RunFolder,
+    given: torch.Tensor | None,
+    ranks: Ranks,
 ) -> TrainingResult:
     """What the training ends with."""
     if not options.dagger.iterations:
-        return Trainer(demonstrations, options, folder, given).train()
+        return Trainer(demonstrations, options, folder, given, ranks).train()
     from dpmacro.training.dagger import aggregate  # worlds and their teachers: a second of imports
 
     return aggregate(demonstrations, options, folder, lambda done: tqdm.write(dagger_report(done))).result
@@ -134,12 +174,22 @@ def report(result: TrainingResult, folder: RunFolder, seconds: float) -> str:
     searched = f"{plan.drawn} drawn at a time" if plan.drawn else "all sorted"
     lines += [
         f"columns      {plan.columns} of {plan.of}, {searched}, about {plan.gibibytes:.1f} GiB at most",
+        *ranks_report(result),
         f"time         {seconds:.1f} s",
         f"policy       {result.pretrained}",
         f"pictures     {folder.figures}",
     ]
     lines += [f"TensorBoard  tensorboard --logdir={folder.tensorboard}"]
     return "\n".join(lines)
+
+
+def ranks_report(result: TrainingResult) -> list[str]:
+    """How the columns were divided, if they were."""
+    ranks, plan = result.ranks.size, result.plan
+    if ranks == 1:
+        return []
+    held = -(-plan.columns // ranks)
+    return [f"ranks        {ranks} ranks, {held} columns and about {plan.gibibytes:.1f} GiB at most each"]
 
 
 def switch_report(result: TrainingResult) -> list[str]:

@@ -69,7 +69,8 @@ class Ranks:
     def together(self) -> Iterator[None]:
         """Work without meetings, in which each rank has its own part: an error of one ends all alike.
 
-        Raises the ValueError or OSError of the first rank that has one, on all ranks.
+        Raises the ValueError or OSError of the first rank that has one, on all ranks; those that have one of
+        their own raise that.
         """
         error = None
         try:
@@ -83,9 +84,9 @@ class Ranks:
                 dist.all_gather_object(found, found[0])
         if error is not None:
             raise error
-        for told in found:
+        for rank, told in enumerate(found):
             if told is not None:
-                raise ValueError(told)
+                raise ValueError(f"rank {rank}: {told}")
 
     @contextmanager
     def _meeting(self) -> Iterator[None]:

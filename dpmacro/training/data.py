@@ -25,6 +25,7 @@ from dpmacro.features.kinds import CameraSpec, ObservationSpec, StateSpec, TaskS
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.memory import DRAWN, Demand, Plan
 from dpmacro.features.quantising import Quantiser
+from dpmacro.parallel import ALONE, Ranks
 from dpmacro.policy.recovery import MAX_ACTIONS
 from dpmacro.switching.training import SWITCH_FOLDS
 from dpmacro.training.options import DatasetOptions, TrainOptions
@@ -75,6 +76,7 @@ class TrainingData:
         options: how.
         most: the largest number of macro-actions that is tried.
         generator: draws columns.
+        ranks: who holds a share of the columns each.
 
     Attributes:
         observations: by key, on the training's device.
@@ -89,9 +91,14 @@ class TrainingData:
     """
 
     def __init__(
-        self, demonstrations: Demonstrations, options: TrainOptions, most: int, generator: torch.Generator
+        self,
+        demonstrations: Demonstrations,
+        options: TrainOptions,
+        most: int,
+        generator: torch.Generator,
+        ranks: Ranks = ALONE,
     ) -> None:
-        self._options, self._generator = options, generator
+        self._options, self._generator, self._ranks = options, generator, ranks
         self.observations: Observation = {
             key: torch.from_numpy(values).to(options.device)
             for key, values in demonstrations.observations.items()
@@ -119,9 +126,9 @@ class TrainingData:
 
     def prepare(self) -> Columns:
         """Features of every frame, quantised and, where memory allows, sorted."""
-        with tqdm(desc="Features", total=self.plan.columns, unit="column") as bar:
+        with tqdm(desc="Features", total=-(-self.plan.columns // self._ranks.size), unit="column") as bar:
             given = self.observations, self.lengths, self.encoder, self.plan, self._generator
-            return Columns(*prepare(*given, bar.update))
+            return Columns(*prepare(*given, bar.update, self._ranks))
 
     def _plan(self, most: int) -> Plan:
         planner = self._options.planner
@@ -146,6 +153,7 @@ class TrainingData:
             switch_bytes=(1 + self.mirror) * switches + (self.mirror and networks) * MIRRORED * image_bytes,
             always=int((~self.encoder.sees_pixels).sum()),
             inputs=len(seen),
+            ranks=self._ranks.size,
         )
         return Plan.fitting(demand, planner.memory_limit)
 

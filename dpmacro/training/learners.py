@@ -9,9 +9,9 @@ from dpmacro.features.base import frames_before
 from dpmacro.features.columns import with_mirror_images
 from dpmacro.features.levels import SortedLevels
 from dpmacro.training.data import Columns, TrainingData
-from dpmacro.training.options import PlannerOptions
+from dpmacro.training.options import PlannerOptions, TrainOptions
 
-__all__ = ["WeakLearners", "rounds_of", "shrinkage_of"]
+__all__ = ["WeakLearners", "check_divisible", "rounds_of", "shrinkage_of"]
 
 
 def rounds_of(planner: PlannerOptions, kind: str, rounds: int) -> int:
@@ -22,6 +22,21 @@ def rounds_of(planner: PlannerOptions, kind: str, rounds: int) -> int:
 def shrinkage_of(planner: PlannerOptions, kind: str, shrinkage: float) -> float:
     """Shrinkage of a classifier of that kind: `shrinkage` with stumps, the networks' own with convnet."""
     return planner.convnet.shrinkage if kind == "convnet" else shrinkage
+
+
+def check_divisible(options: TrainOptions) -> None:
+    """Raise ValueError where the options ask for what ranks cannot do together."""
+    planner = options.planner
+    wrong = {
+        "dagger.iterations": options.dagger.iterations,
+        "planner.learner": planner.learner if planner.learner == "convnet" else 0,
+        "planner.switch_learner": planner.switch_learner if planner.switch_learner == "convnet" else 0,
+    }
+    for name, value in wrong.items():
+        if value:
+            raise ValueError(
+                f"{name} is {value}: ranks divide feature columns; train without torchrun, or leave it out"
+            )
 
 
 class WeakLearners:

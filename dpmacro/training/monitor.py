@@ -27,13 +27,13 @@ STAGES = {  # names on the bars
 
 
 class Monitor:
-    """Turns the rounds of a training into a progress bar and TensorBoard scalars.
+    """Turns the rounds of a training into a progress bar and TensorBoard scalars; without a writer into none.
 
     Where several numbers of macro-actions are tried, `setting` names one in tags and on the bar: "Q3_S2".
     """
 
     def __init__(
-        self, writer: SummaryWriter, demonstrations: Demonstrations, macros: int, setting: str = ""
+        self, writer: SummaryWriter | None, demonstrations: Demonstrations, macros: int, setting: str = ""
     ) -> None:
         self._writer = writer
         self._setting = setting
@@ -47,6 +47,8 @@ class Monitor:
 
     def on_round(self, report: Round) -> None:
         """Log one boosting round of DPBoost."""
+        if self._writer is None:
+            return
         stage = f"{report.stage}_{self._setting}" if self._setting else report.stage
         if report.number == 1:
             self._before[stage] = self._steps.get(stage, 0)

@@ -18,6 +18,7 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from dpmacro.data.demonstrations import Demonstrations
+from dpmacro.parallel import ALONE, Ranks
 from dpmacro.training.options import TrainOptions
 from dpmacro.training.run_folder import RunFolder, dated_folder, plain_options
 from dpmacro.utils.stages import Stages
@@ -64,14 +65,26 @@ def kept_stages(
     options: TrainOptions,
     demonstrations: Demonstrations,
     given: Int64[Tensor, " frames"] | None,
+    ranks: Ranks = ALONE,
 ) -> Iterator[None]:
     """Keep the stages of the block, in which the run is; begins the run unless that was done.
 
-    A run that ends before anything is found leaves nothing.
+    A run that ends before anything is found leaves nothing. Ranks that do not lead write nothing.
 
-    Raises ValueError where the run was begun with other demonstrations, or other labels of them.
+    Raises ValueError where the run was begun with other demonstrations, or other labels of them, and where
+    ranks have read different ones.
     """
     data = _digest(demonstrations, given)
+    leading = ranks.told(data)
+    with ranks.together():
+        if data != leading:
+            raise ValueError(
+                f"{demonstrations.root} is not what rank 0 has read there: give all ranks the same"
+            )
+    if not ranks.leads:
+        with Stages(folder.stages, options.save_freq, ranks):
+            yield
+        return
     if folder.begun.exists():
         if folder.data_digest != data:
             raise ValueError(
@@ -81,7 +94,7 @@ def kept_stages(
     else:
         folder.begin(plain_options(replace(options, output_dir=folder.path, resume=False)), data)
     try:
-        with Stages(folder.stages, options.save_freq):
+        with Stages(folder.stages, options.save_freq, ranks):
             yield
     except BaseException:
         if not any(folder.stages.iterdir()):

@@ -26,6 +26,7 @@ from dpmacro.estimator.dpboost import DPBoost
 from dpmacro.estimator.result import DPBoostResult
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.memory import Plan
+from dpmacro.parallel import ALONE, Ranks
 from dpmacro.policy.config import CLASSES, InputConfig, PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.policy.recovery import Stretches
@@ -51,6 +52,7 @@ class TrainingResult:
     pretrained: Path  # folder to give to eval.py
     choice: Choice | None  # of the number of macro-actions, where it was left open
     notes: tuple[str, ...] = ()  # what a user should know of the choices made with the data
+    ranks: Ranks = ALONE  # who trained
 
 
 class Trainer:
@@ -59,8 +61,9 @@ class Trainer:
     Args:
         demonstrations: what to learn from.
         options: how.
-        folder: where to write.
+        folder: where the leading rank writes.
         given: labels of some frames that the segmentation keeps to, -1 elsewhere; None for none.
+        ranks: who train together, each with a share of the columns.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class Trainer:
         options: TrainOptions,
         folder: RunFolder,
         given: Int64[Tensor, " frames"] | None = None,
+        ranks: Ranks = ALONE,
     ) -> None:
         self.demonstrations = demonstrations
         self.options = options
@@ -93,7 +97,8 @@ class Trainer:
                 f"{demonstrations.root} are vectors: leave it off"
             )
         generator = torch.Generator().manual_seed(options.seed)
-        self.data = TrainingData(demonstrations, options, most, generator)
+        self.ranks = ranks
+        self.data = TrainingData(demonstrations, options, most, generator, ranks)
         self._learners = WeakLearners(options.planner, self.data)
 
     def train(self, start: Int64[Tensor, " frames"] | Discovery | None = None) -> TrainingResult:
@@ -102,20 +107,35 @@ class Trainer:
         `start` is a segmentation, or what a search found: it takes the place of the search.
         """
         with SummaryWriter(str(self.folder.tensorboard)) as writer:
-            columns = self.data.prepare()
-            if self.options.planner.order == "auto":
-                self._ask_the_data_for_an_order(columns.levels)
-            choice = self._choose(columns.levels, writer) if len(self._settings) > 1 else None
-            macros, bound = self._settings[0] if choice is None else choice.setting
-            monitor = Monitor(writer, self.demonstrations, macros)
-            if choice is not None and choice.discovery is not None:
-                start = choice.discovery
-            found = self._fit(columns, self._dpboost(macros, bound), start, monitor)
-            monitor.close()
+            columns, choice, found = self._learn(writer, start)
             policy = self._policy(columns, found)
             pretrained = self._save(policy, found)
             TrainingPictures(writer, self.folder.figures).show(self.demonstrations, policy, found)
-        return TrainingResult(policy, found, self.data.plan, pretrained, choice, self._notes)
+        return TrainingResult(policy, found, self.data.plan, pretrained, choice, self._notes, self.ranks)
+
+    def help(self) -> None:
+        """`train` of a rank that does not lead: its share of the work, and nothing written."""
+        self._learn(None, None)
+
+    def _learn(
+        self, writer: SummaryWriter | None, start: Int64[Tensor, " frames"] | Discovery | None
+    ) -> tuple[Columns, Choice | None, DPBoostResult]:
+        """The feature columns, how the number of macro-actions was chosen, and what was found."""
+        columns = self.data.prepare()
+        if self.options.planner.order == "auto":
+            self._ask_the_data_for_an_order(columns.levels)
+        choice = self._choose(columns.levels, writer) if len(self._settings) > 1 else None
+        if choice is not None and writer is not None:
+            chart = figures.selection_chart(choice.points, choice.place, "How many macro-actions?")
+            TrainingPictures(writer, self.folder.figures).add("selection", chart)
+        macros, bound = self._settings[0] if choice is None else choice.setting
+        monitor = Monitor(writer, self.demonstrations, macros)
+        if choice is not None and choice.discovery is not None:
+            start = choice.discovery
+        found = self._fit(columns, self._dpboost(macros, bound), start, monitor)
+        monitor.close()
+        _check_alike(self.ranks, found)
+        return columns, choice, found
 
     def _fit(
         self,
@@ -196,7 +216,7 @@ class Trainer:
         self._settings = _settings(self.options.planner, self.demonstrations.vector)
         self._order_notes = notes
 
-    def _choose(self, data: SortedLevels, writer: SummaryWriter) -> Choice:
+    def _choose(self, data: SortedLevels, writer: SummaryWriter | None) -> Choice:
         """Search with every setting, one macro-action aside, and choose by data that was left out.
 
         Of vectors there is one search, with most macro-actions, that serves for all numbers of them
@@ -215,10 +235,7 @@ class Trainer:
                     field = field_of(data, task_of(dpboost.get_params(), *given, self.data.groups))
                     discoveries += fewer(field.data, found, monitor.on_round)
             monitor.close()
-        choice = choose(discoveries)
-        chart = figures.selection_chart(choice.points, choice.place, "How many macro-actions?")
-        TrainingPictures(writer, self.folder.figures).add("selection", chart)
-        return choice
+        return choose(discoveries)
 
     @property
     def _notes(self) -> tuple[str, ...]:
@@ -270,6 +287,18 @@ class Trainer:
             stretches = Stretches.of(found.labels, self.data.actions, self.data.lengths)
         learned = found.classifiers, found.switches.classifier
         return MacroPolicy.compact(config, columns.encoder, columns.quantiser, *learned, stretches)
+
+
+def _check_alike(ranks: Ranks, found: DPBoostResult) -> None:
+    """Raise ValueError unless all ranks have found the same."""
+    tensors = [found.labels, found.loss, *found.classifiers.tensors().values()]
+    sums = torch.stack([tensor.double().sum().cpu() for tensor in tensors])
+    told = ranks.gathered(sums.to(found.loss.device))
+    if not bool((told == told[0]).all()):
+        raise ValueError(
+            "ranks have found different policies: their machines calculate differently, so train on machines "
+            "of one kind"
+        )
 
 
 def _settings(planner: PlannerOptions, vectors: bool) -> list[tuple[int, int]]:

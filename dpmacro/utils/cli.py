@@ -34,7 +34,7 @@ from dpmacro.utils.option_files import (
 )
 from dpmacro.utils.starting import INTERRUPTED
 
-__all__ = ["hold", "parse", "run", "sentence_of"]
+__all__ = ["USAGE_ERROR", "hold", "parse", "run", "sentence_of"]
 
 Config = TypeVar("Config")
 Result = TypeVar("Result")

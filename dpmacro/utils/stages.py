@@ -7,6 +7,8 @@ A computation that is begun anew with the same inputs calls the same stages in t
 results are in the folder return them at once; in the one that was running, boosting rounds that are there are
 taken as they were found (`Journal`) instead of being searched for. All else is computed once more, and so the
 end is that of a computation which nothing stopped, bit for bit.
+
+Of ranks that compute together the leading one keeps the files, and tells the others what is in them.
 """
 
 from collections import deque
@@ -22,6 +24,7 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 from torch import Tensor
 
+from dpmacro.parallel import ALONE, Ranks
 from dpmacro.utils.files import replacing
 
 __all__ = ["Journal", "Stages", "journal", "stage", "storable"]
@@ -68,13 +71,15 @@ class Stages:
     Args:
         folder: of their files, made where it does not exist.
         every: rounds after which those of the running stage are written, too; 0 for never.
+        ranks: who compute together.
 
     Raises ValueError while it is entered where a file cannot be read or is that of another computation.
     """
 
-    def __init__(self, folder: Path, every: int) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.every = folder, every
+    def __init__(self, folder: Path, every: int, ranks: Ranks = ALONE) -> None:
+        if ranks.leads:
+            folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self.every, self.ranks = folder, every, ranks
         self.rounds: _Rounds | None = None  # of the stage that runs
         self._number = 0
         self._token: Token | None = None
@@ -95,22 +100,30 @@ class Stages:
             return compute()
         self._number += 1
         file = self.folder / f"{self._number:05d}.pt"
-        if file.exists():
-            stored = _read(file)
-            if not isinstance(stored, dict) or stored.get("stage") != name:
-                raise ValueError(
-                    f"{file} is of another computation than {name}: the run was begun by another version of "
-                    "dpmacro, so begin anew in another --output_dir"
-                )
+        stored = self.ranks.told(self._stored(file, name) if self.ranks.leads else None)
+        if stored is not None:
             return stored["result"]
-        self.rounds = _Rounds(self.folder, self._number, self.every)
+        self.rounds = _Rounds(self.folder, self._number, self.every, self.ranks)
         try:
             result = compute()
-            _write(file, {"stage": name, "result": result})
-            self.rounds.remove()
+            if self.ranks.leads:
+                _write(file, {"stage": name, "result": result})
+                self.rounds.remove()
         finally:
             self.rounds = None
         return result
+
+    def _stored(self, file: Path, name: str) -> dict[str, Any] | None:
+        """What the file of this stage holds; None where there is none."""
+        if not file.exists():
+            return None
+        stored = _read(file)
+        if not isinstance(stored, dict) or stored.get("stage") != name:
+            raise ValueError(
+                f"{file} is of another computation than {name}: the run was begun by another version of "
+                "dpmacro, so begin anew in another --output_dir"
+            )
+        return stored
 
 
 @dataclass(frozen=True)
@@ -125,14 +138,14 @@ class _Record:
 class _Rounds:
     """The rounds of one stage, of one series after another."""
 
-    def __init__(self, folder: Path, number: int, every: int) -> None:
-        self._folder, self._number, self._every = folder, number, every
+    def __init__(self, folder: Path, number: int, every: int, ranks: Ranks) -> None:
+        self._folder, self._number, self._every = folder, number, every if ranks.leads else 0
         self._series = 0
         self._known: dict[int, dict[int, _Record]] = {}
         self._new: list[tuple[int, int, _Record]] = []
-        for file in self._files():
-            for series, place, *record in _read(file):
-                self._known.setdefault(series, {})[place] = _Record(*record)
+        rows = [row for file in self._files() for row in _read(file)] if ranks.leads else []
+        for series, place, *record in ranks.told(rows):
+            self._known.setdefault(series, {})[place] = _Record(*record)
 
     def begun(self) -> "Journal":
         """The journal of the next series."""
@@ -145,8 +158,10 @@ class _Rounds:
 
     def note(self, series: int, place: int, record: _Record) -> None:
         """Keep a round, in a file once there are enough."""
+        if self._every == 0:
+            return
         self._new.append((series, place, record))
-        if self._every and len(self._new) >= self._every:
+        if len(self._new) >= self._every:
             rows = [(*where, one.hypotheses, one.generator, one.free) for *where, one in self._new]
             _write(self._folder / f"{self._number:05d}.{len(self._files()):04d}.pt", rows)
             self._new.clear()

@@ -21,7 +21,7 @@ from jaxtyping import Float, Int64, Shaped, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from dpmacro.boosting.learners.base import HEAVIEST, Frames, overflow
+from dpmacro.boosting.learners.base import HEAVIEST, Frames, StrongClassifier, overflow
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.utils.stages import storable
@@ -175,8 +175,8 @@ class ConvNetLearner:
         return self.images.device
 
     def shown(
-        self, strong: ConvNetClassifier, n_frames: int, size: int
-    ) -> tuple[ConvNetClassifier, Iterator[Frames]]:
+        self, strong: StrongClassifier, n_frames: int, size: int
+    ) -> tuple[StrongClassifier, Iterator[Frames]]:
         """The classifiers, and the first training frames as they look at them, `size` at a time."""
         parts = (slice(k, min(k + size, n_frames)) for k in range(0, n_frames, size))
         return strong, (self._frames(part) for part in parts)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Float64, Int64, Shaped, UInt8
 from torch import Tensor
 
-from dpmacro.boosting.learners.base import HEAVIEST, Frames, overflow
+from dpmacro.boosting.learners.base import HEAVIEST, Frames, StrongClassifier, overflow
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.features.levels import LEVELS, SortedColumns, SortedLevels
@@ -142,8 +142,8 @@ class StumpLearner:
         return self.data.levels.device
 
     def shown(
-        self, strong: StumpClassifier, n_frames: int, size: int
-    ) -> tuple[StumpClassifier, Iterator[Frames]]:
+        self, strong: StrongClassifier, n_frames: int, size: int
+    ) -> tuple[StrongClassifier, Iterator[Frames]]:
         """The classifiers, and the first training frames as they look at them, `size` at a time."""
         used = strong.used_columns()
         used = used if len(used) else torch.zeros(1, dtype=torch.int64, device=used.device)
