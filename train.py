@@ -78,19 +78,14 @@ def lead(options: TrainOptions, ranks: Ranks) -> None:
 
 
 def help_(options: TrainOptions, ranks: Ranks) -> None:
-    """The work of another rank, which is silent: what is wrong is said by the one that leads."""
-    try:
-        with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
-            folder, asked = RunFolder(path_of(options), resume=True), options
-            with ranks.together():
-                demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit)
-            options, given = labelled(options, demonstrations)
-            with kept_stages(folder, asked, demonstrations, given, ranks):
-                Trainer(demonstrations, options, folder, given, ranks).help()
-    except ConnectionError:
-        raise
-    except (ValueError, OSError):
-        sys.exit(cli.USAGE_ERROR)
+    """The work of another rank, which prints nothing: what it has to say is said by the one that leads."""
+    with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+        folder, asked = RunFolder(path_of(options), resume=True), options
+        with ranks.together():
+            demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit)
+        options, given = labelled(options, demonstrations)
+        with kept_stages(folder, asked, demonstrations, given, ranks):
+            Trainer(demonstrations, options, folder, given, ranks).help()
 
 
 def train(options: TrainOptions, folder: RunFolder, ranks: Ranks) -> None:

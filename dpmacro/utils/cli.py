@@ -7,6 +7,7 @@ field in `OTHERS` takes options of any name as well. A field that ends in an und
 
 import difflib
 import inspect
+import os
 import re
 import signal
 import sys
@@ -34,7 +35,7 @@ from dpmacro.utils.option_files import (
 )
 from dpmacro.utils.starting import INTERRUPTED
 
-__all__ = ["USAGE_ERROR", "hold", "parse", "run", "sentence_of"]
+__all__ = ["hold", "parse", "run", "sentence_of"]
 
 Config = TypeVar("Config")
 Result = TypeVar("Result")
@@ -107,7 +108,8 @@ def run(main: Callable[[Config], None], config_class: type[Config]) -> None:
             with _holding():
                 main(parse(config_class))
     except (ValueError, OSError) as error:
-        say(f"error: {in_a_line(error)}")
+        if os.environ.get("RANK", "0") == "0" or isinstance(error, ConnectionError):
+            say(f"error: {in_a_line(error)}")  # once, where torchrun has started several
         sys.exit(USAGE_ERROR)
     except interrupts.Terminated as error:
         say(f"ended by {error}")
