@@ -11,7 +11,7 @@ BIN := $(VENV)/bin
 WORKERS ?= 2
 
 .PHONY: help venv test lint types pytest fuzz test-versions test-benchmarks demo clean-demo bench bench-segmentation \
-        bench-selectors bench-reading bench-files odd-datasets table table-metaworld lerobot-metaworld
+        bench-selectors bench-reading bench-files bench-ranks kills odd-datasets table table-metaworld lerobot-metaworld
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -69,7 +69,8 @@ SEED ?= 10000
 PLANNERS := teacher baseline dpboost
 EVAL := $(DEMO)/eval/$(EPISODES)-from-$(SEED)
 RESULTS := $(PLANNERS:%=$(EVAL)/%/eval_info.json)
-evaluate = rm -rf $(@D) && $(BIN)/python eval.py --episodes=$(EPISODES) --seed=$(SEED) --workers=$(WORKERS) --output_dir=$(@D)
+# Runs of an earlier policy are done anew; an evaluation that was interrupted goes on.
+evaluate = $(if $<,[ $(@D)/runs.jsonl -nt $< ] || rm -rf $(@D); )$(BIN)/python eval.py --episodes=$(EPISODES) --seed=$(SEED) --workers=$(WORKERS) --output_dir=$(@D)
 
 demo: $(RESULTS) ## record 20 demonstrations, train baseline and DPBoost, run both and the teacher, print one table
 	$(BIN)/python benchmarks/summary.py --results='$(RESULTS)' --chart=$(DEMO)/success.png
@@ -125,6 +126,12 @@ FEW := --frames=200 --cameras=1 --size='[160,120]' --length=50 --options='--plan
 
 bench-files: $(INSTALLED) ## from files to labels and pictures: time by stages, and memory (DATA=a dataset; QUICK=1 a small one)
 	$(BIN)/python benchmarks/files_to_pictures.py $(if $(DATA),--dataset.root=$(DATA)) $(if $(QUICK),$(FEW)) $(BENCH)
+
+bench-ranks: $(INSTALLED) ## boosting on several ranks: time, bytes, memory, and whether all find the same (QUICK=1 likewise)
+	$(BIN)/python benchmarks/ranks.py $(if $(QUICK),--frames=5000 --columns=100) $(BENCH)
+
+kills: $(INSTALLED) ## kill every script at random moments and see that nothing is lost (QUICK=1 three times each)
+	$(BIN)/python benchmarks/kills.py --kills=$(if $(QUICK),3,20) $(BENCH)
 
 odd-datasets: $(INSTALLED) ## what dpmacro and the installed LeRobot make of odd datasets, into docs/odd_datasets.md
 	$(BIN)/python benchmarks/odd_datasets.py --report=docs/odd_datasets.md

@@ -81,8 +81,7 @@ def help_(options: TrainOptions, ranks: Ranks) -> None:
     """The work of another rank, which prints nothing: what it has to say is said by the one that leads."""
     with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
         folder, asked = RunFolder(path_of(options), resume=True), options
-        with ranks.together():
-            demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit)
+        demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit, ranks)
         options, given = labelled(options, demonstrations)
         with kept_stages(folder, asked, demonstrations, given, ranks):
             Trainer(demonstrations, options, folder, given, ranks).help()
@@ -91,8 +90,7 @@ def help_(options: TrainOptions, ranks: Ranks) -> None:
 def train(options: TrainOptions, folder: RunFolder, ranks: Ranks) -> None:
     """Train, print what was found, and write it down."""
     asked = options
-    with ranks.together():
-        demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit)
+    demonstrations = read_demonstrations(options.dataset, options.planner.memory_limit, ranks)
     options, given = labelled(options, demonstrations)
     started = time.perf_counter()
     try:

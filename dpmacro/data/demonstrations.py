@@ -12,6 +12,7 @@ from dpmacro.data.actions import Actions
 from dpmacro.data.images import DatasetError, ImageTransform
 from dpmacro.data.lerobot.frames import TOLERANCE
 from dpmacro.data.loading import load_parts
+from dpmacro.parallel import ALONE, Ranks
 
 __all__ = ["DatasetError", "Demonstrations"]
 
@@ -81,6 +82,7 @@ class Demonstrations:
         transform: ImageTransform = AS_USUAL,
         task: str | int | None = None,
         tolerance_s: float = TOLERANCE,
+        ranks: Ranks = ALONE,
     ) -> "Demonstrations":
         """Reads a LeRobot dataset of format v3 or v2, without touching the network.
 
@@ -98,6 +100,7 @@ class Demonstrations:
             transform: what is done to the images.
             task: read only the episodes of this task, by its words or its task_index.
             tolerance_s: seconds that a frame of a video may be off its recorded time, as in LeRobot.
+            ranks: who decode a share of the pictures each; all have all in the end.
 
         Raises DatasetError, one line that names the place, the value and a remedy, for anything it cannot
         read as demonstrations of at least two frames each.
@@ -108,7 +111,8 @@ class Demonstrations:
                     f"dataset {root}: camera={camera} and inputs={list(inputs)}; give one of them"
                 )
             inputs = [camera]
-        return cls(**load_parts(Path(root), episodes, inputs, action, truth, transform, task, tolerance_s))
+        given = Path(root), episodes, inputs, action, truth, transform, task, tolerance_s
+        return cls(**load_parts(*given, ranks))
 
     @property
     def vector(self) -> bool:

@@ -6,12 +6,15 @@ from threading import Lock
 
 import cv2
 import numpy as np
+import torch
 from jaxtyping import UInt8
 
 from dpmacro.features.memory import GIB
+from dpmacro.parallel import Ranks
 
 __all__ = ["DatasetError", "FrameBuffer", "ImageTransform", "natural_size", "refuse_too_many"]
 
+MOVED = 2**26  # bytes of images that ranks tell one another at a time
 LARGEST = (128, 96)  # images of more pixels are shrunk, unless a size is asked for
 USUAL = (64, 48)  # about as many pixels are kept of them
 
@@ -116,6 +119,24 @@ class FrameBuffer:
             raise DatasetError(f"{self.name}: frame {place} is {shape}, others {self._stored}; resize it")
         self._images[place] = self._fit(image, stored)
 
+    def share(self, ranks: Ranks) -> None:
+        """Let all ranks have the images that each has put: every place is filled by one of them.
+
+        Raises DatasetError where their sizes differ.
+        """
+        shapes = [
+            one
+            for one in ranks.heard((self._stored, None if self._images is None else self._images.shape))
+            if one[1] is not None
+        ]
+        if any(one != shapes[0] for one in shapes):
+            raise DatasetError(f"{self.name}: images are {shapes[0][0]} and others not; resize them")
+        if self._images is None:
+            self._stored, self._images = shapes[0][0], np.zeros(shapes[0][1], np.uint8)
+        each = max(MOVED // max(self._images[0].nbytes, 1), 1)
+        for first in range(0, self.count, each):
+            ranks.summed(torch.from_numpy(self._images[first : first + each]))
+
     @property
     def images(self) -> UInt8[np.ndarray, "frames height width 3"]:
         """All of them."""
@@ -134,7 +155,7 @@ class FrameBuffer:
     def _room(self, first: np.ndarray) -> np.ndarray:
         height, width = first.shape[:2]
         refuse_too_many(self.name, self.count, [(width, height)], self.transform.memory)
-        return np.empty((self.count, *first.shape), np.uint8)
+        return np.zeros((self.count, *first.shape), np.uint8)
 
 
 def refuse_too_many(name: str, count: int, sizes: Sequence[tuple[int, int]], memory: float | None) -> None:

@@ -14,6 +14,7 @@ from dpmacro.data.lerobot.layout import StoredEpisode
 from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
 from dpmacro.features.memory import GIB
+from dpmacro.parallel import ALONE, Ranks
 
 __all__ = ["Inputs", "choose_inputs", "read_cameras", "read_vectors", "task_indices", "task_names"]
 
@@ -116,34 +117,36 @@ def read_cameras(
     rows: Rows,
     transform: ImageTransform,
     tolerance: float = TOLERANCE,
+    ranks: Ranks = ALONE,
 ) -> tuple[dict[str, FrameBuffer], list[str]]:
-    """The pictures of the cameras, transformed, and notes.
+    """The pictures of the cameras, transformed, and notes; ranks decode a share each.
 
     What turns out to hold depths is refused where cameras were `asked` for, else left out. Raises
     DatasetError, before anything is decoded, where all pictures take more memory than there is.
     """
     count, sizes, notes = int(rows.lengths.sum()), {}, []
-    for camera in inputs.cameras:
-        found = picture(store, camera, episodes, rows)
-        name = f"dataset {store.root}, {camera}"
-        if found.depth:
-            if asked:
-                raise depth_refused(store, camera)
-            notes.append(f"{camera} is left out: a depth map")
-            continue
-        sizes[camera] = transform.of(camera).sized(found.width, found.height, name)
-    if not sizes and not inputs.vectors:
-        raise DatasetError(
-            f"dataset {store.root}: has no image feature but depth maps, and no state; dpmacro needs one"
-        )
-    taken = 4 * count * sum(_size(store, name) for name in inputs.vectors) / GIB
-    if sizes:
-        left = None if transform.memory is None else transform.memory - taken
-        refuse_too_many(f"dataset {store.root}, {next(iter(sizes))}", count, list(sizes.values()), left)
+    with ranks.together():
+        for camera in inputs.cameras:
+            found = picture(store, camera, episodes, rows)
+            name = f"dataset {store.root}, {camera}"
+            if found.depth:
+                if asked:
+                    raise depth_refused(store, camera)
+                notes.append(f"{camera} is left out: a depth map")
+                continue
+            sizes[camera] = transform.of(camera).sized(found.width, found.height, name)
+        if not sizes and not inputs.vectors:
+            raise DatasetError(
+                f"dataset {store.root}: has no image feature but depth maps, and no state; dpmacro needs one"
+            )
+        taken = 4 * count * sum(_size(store, name) for name in inputs.vectors) / GIB
+        if sizes:
+            left = None if transform.memory is None else transform.memory - taken
+            refuse_too_many(f"dataset {store.root}, {next(iter(sizes))}", count, list(sizes.values()), left)
     buffers = {}
     for camera in sizes:
         buffers[camera] = FrameBuffer(count, transform.of(camera), f"dataset {store.root}, {camera}")
-        fill(buffers[camera], store, camera, episodes, rows, tolerance)
+        fill(buffers[camera], store, camera, episodes, rows, tolerance, ranks)
     return buffers, notes
 
 

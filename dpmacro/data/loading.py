@@ -15,6 +15,7 @@ from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
 from dpmacro.data.names import entry_names
 from dpmacro.data.truth import choose_truth, true_labels
+from dpmacro.parallel import ALONE, Ranks
 
 __all__ = ["load_parts"]
 
@@ -28,31 +29,33 @@ def load_parts(
     transform: ImageTransform,
     task: str | int | None,
     tolerance: float,
+    ranks: Ranks = ALONE,
 ) -> dict[str, Any]:
     """Arguments of `Demonstrations`; parameters and errors are those of `Demonstrations.load`."""
-    store = StoredDataset.open(root)
-    fps, chosen = store.fps, store.choose(episodes)
-    if task is not None:
-        chosen = _of_task(store, chosen, task)
-    chosen, rows, short = _long_enough(store, chosen, asked=episodes is not None)
-    truth, acting = choose_truth(store, truth), choose_action(store, action)
-    what = choose_inputs(store, inputs, (*acting, "action", *([truth] if truth else ())))
-    several = "task_index" in store.features and task is None
-    beside = ["action"] if acting == ["discrete_action"] and "action" in store.features else []
-    wanted = [
-        *acting,
-        *beside,
-        *([truth] if truth else []),
-        *what.vectors,
-        *(["task_index"] if several else []),
-    ]
-    columns = store.columns(list(dict.fromkeys(wanted)), chosen, rows)
-    actions, action_names = actions_of(store, acting, columns)
-    labels, classes = (None, ()) if truth is None else true_labels(store, truth, columns[truth])
-    vectors = read_vectors(store, what.vectors, columns)
-    doing = task_indices(store, columns["task_index"]) if several else None
-    tasks = task_names(store, doing)
-    buffers, depths = read_cameras(store, what, inputs is not None, chosen, rows, transform, tolerance)
+    with ranks.together():
+        store = StoredDataset.open(root)
+        fps, chosen = store.fps, store.choose(episodes)
+        if task is not None:
+            chosen = _of_task(store, chosen, task)
+        chosen, rows, short = _long_enough(store, chosen, asked=episodes is not None)
+        truth, acting = choose_truth(store, truth), choose_action(store, action)
+        what = choose_inputs(store, inputs, (*acting, "action", *([truth] if truth else ())))
+        several = "task_index" in store.features and task is None
+        beside = ["action"] if acting == ["discrete_action"] and "action" in store.features else []
+        wanted = [
+            *acting,
+            *beside,
+            *([truth] if truth else []),
+            *what.vectors,
+            *(["task_index"] if several else []),
+        ]
+        columns = store.columns(list(dict.fromkeys(wanted)), chosen, rows)
+        actions, action_names = actions_of(store, acting, columns)
+        labels, classes = (None, ()) if truth is None else true_labels(store, truth, columns[truth])
+        vectors = read_vectors(store, what.vectors, columns)
+        doing = task_indices(store, columns["task_index"]) if several else None
+        tasks = task_names(store, doing)
+    buffers, depths = read_cameras(store, what, inputs is not None, chosen, rows, transform, tolerance, ranks)
     observations: dict[str, np.ndarray] = {
         camera: buffer.images for camera, buffer in buffers.items()
     } | vectors

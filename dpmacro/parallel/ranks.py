@@ -5,7 +5,7 @@ among them (dpmacro/parallel/shares.py) is exchanged here, and all of them go on
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -26,8 +26,8 @@ T = TypeVar("T")
 class Ranks:
     """One of the processes, which has number `rank` of `size`; a training without others has one.
 
-    Every method is a meeting: all ranks call the same ones in the same order. ConnectionError where another
-    rank has ended.
+    Every method but `share_of` is a meeting: all ranks call the same ones in the same order. ConnectionError
+    where another rank has ended.
     """
 
     rank: int = 0
@@ -38,23 +38,36 @@ class Ranks:
         """Whether this is the rank that writes and prints."""
         return self.rank == 0
 
+    def share_of(self, pieces: Sequence[T]) -> Sequence[T]:
+        """Those of some pieces of work that this rank does; no meeting."""
+        return pieces[self.rank :: self.size]
+
     def gathered(self, own: Tensor) -> Tensor:
         """The tensors [...] of all ranks, of one shape, as [ranks ...]."""
         if self.size == 1:
             return own[None]
-        own = own.contiguous()
-        found = [torch.empty_like(own) for _ in range(self.size)]
+        sent = _sendable(own).contiguous()
+        found = [torch.empty_like(sent) for _ in range(self.size)]
         with self._meeting():
-            dist.all_gather(found, own)
-        return torch.stack(found)
+            dist.all_gather(found, sent)
+        return torch.stack(found).to(own.device)
 
     def summed(self, own: Tensor) -> Tensor:
         """The sum of all ranks' tensors, of one shape; `own` is overwritten."""
         if self.size == 1:
             return own
+        sent = _sendable(own)
         with self._meeting():
-            dist.all_reduce(own)
-        return own
+            dist.all_reduce(sent)
+        return own if sent is own else own.copy_(sent)
+
+    def heard(self, value: T) -> list[T]:
+        """What every rank has as `value`, a small object."""
+        found = [value] * self.size
+        if self.size > 1:
+            with self._meeting():
+                dist.all_gather_object(found, value)
+        return found
 
     def told(self, value: T) -> T:
         """What the leading rank has as `value`; that of others counts for nothing."""
@@ -77,11 +90,7 @@ class Ranks:
             yield
         except (ValueError, OSError) as own:
             error = own
-        found: list[str | None] = [None if error is None else str(error)]
-        if self.size > 1:
-            found *= self.size
-            with self._meeting():
-                dist.all_gather_object(found, found[0])
+        found = self.heard(None if error is None else str(error))
         if error is not None:
             raise error
         for rank, told in enumerate(found):
@@ -98,6 +107,11 @@ class Ranks:
                 f"rank {self.rank} of {self.size} ends since another rank has ended, see what that one said "
                 f"({line})"
             ) from error
+
+
+def _sendable(tensor: Tensor) -> Tensor:
+    """The tensor where the ranks' engine takes it: nccl on the rank's own GPU."""
+    return tensor.cuda() if dist.get_backend() == "nccl" and not tensor.is_cuda else tensor
 
 
 ALONE = Ranks()

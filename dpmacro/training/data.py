@@ -40,8 +40,8 @@ MIRRORED = 3  # images for one while networks get mirror images: the mirror imag
 TABLES = 10  # float tables of a row per frame while boosting: scores, losses, weights, ...
 
 
-def read_demonstrations(dataset: DatasetOptions, memory: float) -> Demonstrations:
-    """The demonstrations that options name; their images take `memory` GiB at most.
+def read_demonstrations(dataset: DatasetOptions, memory: float, ranks: Ranks = ALONE) -> Demonstrations:
+    """The demonstrations that options name; their images take `memory` GiB at most. Ranks share the work.
 
     Errors are those of `Demonstrations.load`, and ValueError where no dataset is named.
     """
@@ -56,6 +56,7 @@ def read_demonstrations(dataset: DatasetOptions, memory: float) -> Demonstration
         truth=dataset.truth,
         transform=ImageTransform(dataset.image_size, memory=memory),
         task=dataset.task,
+        ranks=ranks,
     )
 
 

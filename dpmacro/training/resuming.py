@@ -41,7 +41,7 @@ def path_of(options: TrainOptions) -> Path:
         raise ValueError(f"resume is true without a run to go on with: give {HOW}")
     path = options.output_dir or dated_folder(options.job_name or options.planner.type)
     if options.resume and not path.is_dir():
-        raise ValueError(f"{path} is no folder: give that of the run that is to go on, by {HOW}")
+        raise ValueError(f"{path} is no folder: give {HOW}, and --output_dir=<run> if it was moved")
     return path
 
 

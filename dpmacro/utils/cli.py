@@ -32,6 +32,7 @@ from dpmacro.utils.option_files import (
     check_known,
     paths_as_text,
     refuse_groups_beside_options,
+    refuse_truths_as_numbers,
 )
 from dpmacro.utils.starting import INTERRUPTED
 
@@ -80,6 +81,7 @@ def parse(config_class: type[Config], arguments: Sequence[str] | None = None) ->
 
     parser.parser.error = fail
     refuse_groups_beside_options(arguments, config_class)
+    refuse_truths_as_numbers(arguments, config_class)
     arguments = paths_as_text(arguments, config_class)
     file = _check_readable(arguments, config_class)
     arguments, others = _apart(arguments, config_class, parser)

@@ -5,12 +5,21 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
-__all__ = ["OTHERS", "check_known", "option_types", "paths_as_text", "refuse_groups_beside_options"]
+__all__ = [
+    "OTHERS",
+    "check_known",
+    "option_types",
+    "paths_as_text",
+    "refuse_groups_beside_options",
+    "refuse_truths_as_numbers",
+]
 
 OTHERS = "OTHERS"  # of a group of options
 QUOTES = ("'", '"')
+TRUTHS = ("true", "false", "yes", "no", "on", "off")  # of YAML
 
 
 def option_types(config_class: type, above: str = "") -> dict[str, Any]:
@@ -56,6 +65,18 @@ def paths_as_text(arguments: Sequence[str], config_class: type) -> list[str]:
     return quoted
 
 
+def refuse_truths_as_numbers(arguments: Sequence[str], config_class: type) -> None:
+    """Raise ValueError for --seed=true, which would be 1."""
+    kinds = option_types(config_class)
+    numbers = {f"--{name}" for name, kind in kinds.items() if _members(kind) & {int, float}}
+    for place, argument in enumerate(arguments):
+        option, given, value = argument.partition("=")
+        if not given and place and arguments[place - 1] in numbers:
+            option, value = arguments[place - 1], argument
+        if option in numbers and value.strip().lower() in TRUTHS:
+            raise ValueError(f"{option}={value} is no number: give one, or leave it out")
+
+
 def refuse_groups_beside_options(arguments: Sequence[str], config_class: type) -> None:
     """Raise ValueError where a group of options is given as a whole, and one of its options as well."""
     given = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
@@ -63,6 +84,11 @@ def refuse_groups_beside_options(arguments: Sequence[str], config_class: type) -
         inner = [name for name in given if name.startswith(f"--{group}.")]
         if f"--{group}" in given and inner:
             raise ValueError(f"--{group} is given beside {inner[0]}: give the options of {group} one by one")
+
+
+def _members(kind: Any) -> set[Any]:
+    """The types that a value of this type may have."""
+    return set(get_args(kind)) if get_args(kind) and get_origin(kind) in (Union, UnionType) else {kind}
 
 
 def _quoted(value: str) -> str:

@@ -1,5 +1,7 @@
 """Plans hold as many columns as fit, and name the memory that would do where none fit."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -47,6 +49,26 @@ def test_a_plan_stays_within_the_limit_and_uses_what_there_is(
         assert plan.columns == n_columns or plan.gibibytes + (1 + copied) * n_frames / GIB > limit
         more = LIBRARIES + n_frames * (9216 + boosting + 5)
         assert plan.drawn == plan.columns or more > limit * GIB
+
+
+@settings(deadline=None)
+@given(
+    n_frames=st.integers(10, 300_000),
+    n_columns=st.integers(1, 20_000),
+    limit=st.floats(1.5, 16),
+    ranks=st.integers(2, 8),
+)
+def test_ranks_hold_a_share_each_within_the_limit(n_frames, n_columns, limit, ranks):
+    demand = Demand(n_frames, 100, n_columns, 240, switch_bytes=100)
+    try:
+        one = Plan.fitting(demand, limit)
+        several = Plan.fitting(replace(demand, ranks=ranks), limit)
+    except ValueError:
+        assert n_frames > 20_000
+        return
+    assert several.gibibytes <= limit and several.columns >= one.columns
+    if one.drawn == 0:
+        assert (several.columns, several.drawn) == (one.columns, 0) and several.gibibytes <= one.gibibytes
 
 
 def test_columns_that_are_never_left_out_set_the_least():

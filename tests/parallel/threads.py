@@ -2,7 +2,6 @@
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 
 import torch
 
@@ -36,21 +35,13 @@ class ThreadRanks(Ranks):
         return torch.stack(self.room.exchanged(self.rank, own.clone()))
 
     def summed(self, own):
-        return torch.stack(self.room.exchanged(self.rank, own.clone())).sum(0, dtype=own.dtype)
+        return own.copy_(torch.stack(self.room.exchanged(self.rank, own.clone())).sum(0, dtype=own.dtype))
 
     def told(self, value):
-        return self.room.exchanged(self.rank, value)[0]
+        return self.heard(value)[0]
 
-    @contextmanager
-    def together(self):
-        error = None
-        try:
-            yield
-        except ValueError as own:
-            error = own
-        found = [one for one in self.room.exchanged(self.rank, error) if one is not None]
-        if found:
-            raise ValueError(str(error or found[0]))
+    def heard(self, value):
+        return self.room.exchanged(self.rank, value)
 
 
 def on_ranks(size, work):

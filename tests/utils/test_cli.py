@@ -56,6 +56,8 @@ def test_options_come_as_lerobot_has_them(tmp_path):
         ("stray", "unknown option stray"),
         ("--inner.count=x", "`inner.count`: Couldn't parse 'x' into an int"),
         ("--inner.count=0", "inner.count is 0: give 1 or more"),
+        ("--inner.count=true", "--inner.count=true is no number: give one, or leave it out"),
+        ("--inner.count=No", "--inner.count=No is no number: give one, or leave it out"),
         ("--inner.size=[3]", "Expected 2 items, got 1"),
         ("--inner.count", "expected one argument"),
         ("--config_path=/no/such/file.json", "/no/such/file.json"),

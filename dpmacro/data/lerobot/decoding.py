@@ -207,17 +207,17 @@ def scan_video(path: Path) -> Film:
     return Film(path, shown, shown * unit, hang_on)
 
 
-def decode_videos(clips: Sequence[Clip], put: Put, sized: Sized) -> None:
+def decode_videos(runs: Sequence[Clip], put: Put, sized: Sized) -> None:
     """Call `put` with every frame wanted, from several threads at once.
 
     Args:
-        clips: the frames.
+        runs: the frames, in parts of clips for a thread each.
         put: takes the place, the RGB image and, where that is shrunk already, the frame's height and width.
         sized: the width and height wanted of a frame of some width and height.
 
     Raises DatasetError where a file lacks a frame or is damaged.
     """
-    in_threads(lambda run: _decode(run, put, sized), [run for clip in clips for run in clip.runs()])
+    in_threads(lambda run: _decode(run, put, sized), runs)
 
 
 def _decode(run: Clip, put: Put, sized: Sized) -> None:

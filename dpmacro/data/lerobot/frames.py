@@ -24,6 +24,7 @@ from dpmacro.data.lerobot.layout import StoredEpisode, Video
 from dpmacro.data.lerobot.reader import StoredDataset
 from dpmacro.data.lerobot.rows import Rows
 from dpmacro.data.lerobot.tables import is_file, read_batches, read_table, to_cells, to_pixels
+from dpmacro.parallel import ALONE, Ranks
 
 __all__ = ["TOLERANCE", "fill", "is_depth", "picture"]
 
@@ -60,26 +61,41 @@ def fill(
     episodes: Sequence[StoredEpisode],
     rows: Rows,
     tolerance: float = TOLERANCE,
+    ranks: Ranks = ALONE,
 ) -> None:
-    """Put the frames of a camera into their places.
+    """Put the frames of a camera into their places; of ranks each decodes a share, and all have all.
 
     The frame of a video is the one nearest to the episode's start in it plus the frame's `timestamp`, as in
     LeRobot. Raises DatasetError where that is not within `tolerance` seconds, where a picture is missing or
     damaged, and what `FrameBuffer.put` raises.
     """
-    if store.features[camera]["dtype"] == "video":
-        decode_videos(_clips(store, camera, episodes, rows, tolerance), buffer.put, buffer.sized)
-        return
+    with ranks.together():
+        if store.features[camera]["dtype"] == "video":
+            clips = _clips(store, camera, episodes, rows, tolerance)
+            runs = [run for clip in clips for run in clip.runs()]
+            decode_videos(ranks.share_of(runs), buffer.put, buffer.sized)
+        else:
+            _read_images(buffer, store.root, camera, rows, ranks)
+    if ranks.size > 1:
+        buffer.share(ranks)
+
+
+def _read_images(buffer: FrameBuffer, root: Path, camera: str, rows: Rows, ranks: Ranks) -> None:
     for part in rows.parts:
         for some, table in read_batches(part.path, [camera], part.rows):
             cells = _cells(table, camera, part.path)
-            _put_images(buffer, store.root, part.path, cells, part.places[some])
+            _put_images(buffer, root, part.path, cells, part.places[some], ranks)
             del cells, table
         pa.default_memory_pool().release_unused()  # Arrow would keep the memory of the encoded ones
 
 
 def _put_images(
-    buffer: FrameBuffer, root: Path, table: Path, cells: list[Any], places: Int64[np.ndarray, " frames"]
+    buffer: FrameBuffer,
+    root: Path,
+    table: Path,
+    cells: list[Any],
+    places: Int64[np.ndarray, " frames"],
+    ranks: Ranks,
 ) -> None:
     def put(start: int) -> None:
         for place in range(start, min(start + BLOCK, len(cells))):
@@ -88,7 +104,7 @@ def _put_images(
                 raise _no_image(buffer.name, int(places[place]), cells[place])
             buffer.put(int(places[place]), image)
 
-    in_threads(put, range(0, len(cells), BLOCK))
+    in_threads(put, ranks.share_of(range(0, len(cells), BLOCK)))
 
 
 def _clips(
