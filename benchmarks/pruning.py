@@ -16,7 +16,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from dpmacro.boosting.learners.stumps import StumpLearner, sweep
+from dpmacro.boosting.learners.stumps import StumpLearner
+from dpmacro.boosting.learners.sweep import sweep
 from dpmacro.boosting.loop import Boosting
 from dpmacro.boosting.losses.classes import class_targets, exponentials_of
 from dpmacro.data.demonstrations import Demonstrations

@@ -78,6 +78,15 @@ class Ranks:
             dist.broadcast_object_list(found)
         return found[0]
 
+    def check_alike(self, *tensors: Tensor) -> None:
+        """Raise ValueError, on all ranks, unless the sums of these tensors are the same on all."""
+        sums = [float(tensor.double().sum()) for tensor in tensors]
+        if any(one != sums for one in self.heard(sums)):
+            raise ValueError(
+                "ranks have come to different results: their machines calculate differently, so train on "
+                "machines of one kind"
+            )
+
     @contextmanager
     def together(self) -> Iterator[None]:
         """Work without meetings, in which each rank has its own part: an error of one ends all alike.

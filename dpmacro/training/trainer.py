@@ -134,7 +134,7 @@ class Trainer:
             start = choice.discovery
         found = self._fit(columns, self._dpboost(macros, bound), start, monitor)
         monitor.close()
-        _check_alike(self.ranks, found)
+        self.ranks.check_alike(found.labels, found.loss, *found.classifiers.tensors().values())
         return columns, choice, found
 
     def _fit(
@@ -163,8 +163,8 @@ class Trainer:
 
     def _save(self, policy: MacroPolicy, found: DPBoostResult) -> Path:
         """Save the policy and the segmentation; returns its folder."""
-        options = plain_options(self.options)
-        return self.folder.checkpoint(len(found.loss), policy, options, found.labels, self.data.lengths)
+        segmentation = found.labels, self.data.lengths
+        return self.folder.checkpoint(len(found.loss), policy, plain_options(self.options), *segmentation)
 
     @property
     def _switch_settings(self) -> SwitchSettings:
@@ -240,8 +240,7 @@ class Trainer:
     @property
     def _notes(self) -> tuple[str, ...]:
         """What the demonstrations and their actions tell of the choices made."""
-        transform = self.data.transform
-        told = transform.report() if transform is not None else ()
+        told = () if self.data.transform is None else self.data.transform.report()
         kept = () if self.given is None else (self._kept_note,)
         return (*self.demonstrations.notes, *told, *kept, *self._order_notes)
 
@@ -285,20 +284,8 @@ class Trainer:
         stretches = None
         if transform is None:
             stretches = Stretches.of(found.labels, self.data.actions, self.data.lengths)
-        learned = found.classifiers, found.switches.classifier
-        return MacroPolicy.compact(config, columns.encoder, columns.quantiser, *learned, stretches)
-
-
-def _check_alike(ranks: Ranks, found: DPBoostResult) -> None:
-    """Raise ValueError unless all ranks have found the same."""
-    tensors = [found.labels, found.loss, *found.classifiers.tensors().values()]
-    sums = torch.stack([tensor.double().sum().cpu() for tensor in tensors])
-    told = ranks.gathered(sums.to(found.loss.device))
-    if not bool((told == told[0]).all()):
-        raise ValueError(
-            "ranks have found different policies: their machines calculate differently, so train on machines "
-            "of one kind"
-        )
+        seen, learned = (columns.encoder, columns.quantiser), (found.classifiers, found.switches.classifier)
+        return MacroPolicy.compact(config, *seen, *learned, stretches)
 
 
 def _settings(planner: PlannerOptions, vectors: bool) -> list[tuple[int, int]]:

@@ -5,22 +5,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Float64, Int64, Shaped, UInt8
+from jaxtyping import Float, Int64, Shaped, UInt8
 from torch import Tensor
 
-from dpmacro.boosting.learners.base import HEAVIEST, Frames, StrongClassifier, overflow
+from dpmacro.boosting.learners.base import Frames, StrongClassifier
+from dpmacro.boosting.learners.sweep import CLASSES, Best, lowest, sweep
 from dpmacro.boosting.losses.base import Loss
-from dpmacro.boosting.losses.classes import ExponentialLoss
-from dpmacro.features.levels import LEVELS, SortedColumns, SortedLevels
-from dpmacro.parallel import Ranks
+from dpmacro.features.levels import LEVELS, SortedLevels
 from dpmacro.utils.stages import storable
 
-__all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps", "sweep"]
+__all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps"]
 
-CACHED = 2**18  # histogram entries of a chunk of columns that stay in a core's cache
-ON_DEVICE = 2**24  # likewise where a large chunk keeps the device busy
 REDRAWN = 10  # rounds that a draw serves at least where its columns are sorted when they are drawn
-CLASSES = ExponentialLoss()
 SHORTLIST = 64  # columns that every problem passes on to the rounds that re-use them
 
 
@@ -165,12 +161,12 @@ class StumpLearner:
         slack = self.smoothing * weights.sum((0, 2)) / (held * weights.shape[2])
         found, minima = [], []
         for chunk, below, left in sweep(search.data, weights, responses, loss, slack, self.bins):
-            found.append(_lowest(left, below, chunk))
+            found.append(lowest(left, below, chunk))
             if shortlisting:
                 minima.append(left.amin(1))
         if not found:  # other ranks hold the columns
-            found = [_Best.none(loss.table(weights[:1], responses[:1])[0])]
-        best = _Best.among(found).of_all(search.data.shares.ranks)
+            found = [Best.none(loss.table(weights[:1], responses[:1])[0])]
+        best = Best.among(found).of_all(search.data.shares.ranks)
         stumps = Stumps(best.columns, best.thresholds, loss.votes(best.sides, slack))
         if shortlisting:
             return stumps, Search(self.data.take(self._shortlist(minima, weights.shape[1])), self.reuse - 1)
@@ -207,119 +203,3 @@ class StumpLearner:
         own = torch.cat(minima) if minima else torch.zeros(0, n_problems, device=self.device)
         left = self.data.shares.whole(own)
         return left.argsort(dim=0, stable=True)[:SHORTLIST].unique()
-
-
-@dataclass(frozen=True)
-class _Best:
-    """The best stump of every problem in some columns: what it leaves of the loss, and sums on its sides."""
-
-    left: Float[Tensor, " problems"]
-    columns: Int64[Tensor, " problems"]
-    thresholds: UInt8[Tensor, " problems"]
-    sides: Float[Tensor, "problems 2 rows entries"]  # below the threshold, then in all
-
-    @classmethod
-    def none(cls, row: Float[Tensor, "rows entries problems"]) -> "_Best":
-        """Of no columns; `row` is one of the loss's table."""
-        shape = row.shape[2], 2, *row.shape[:2]
-        nowhere = torch.zeros(shape[0], dtype=torch.int64, device=row.device)
-        return cls(row.new_full(shape[:1], torch.inf), nowhere, nowhere.byte(), row.new_zeros(shape))
-
-    @classmethod
-    def among(cls, found: "list[_Best]") -> "_Best":
-        """Of several the one that leaves least, and of equals that of the first column, for every problem."""
-        left, columns = torch.stack([one.left for one in found]), torch.stack([one.columns for one in found])
-        place = torch.where(left == left.amin(0), columns, torch.iinfo(columns.dtype).max).argmin(0)
-        problems = torch.arange(len(place), device=place.device)
-        thresholds, sides = (
-            torch.stack([getattr(one, name) for one in found])[place, problems]
-            for name in ("thresholds", "sides")
-        )
-        return cls(left[place, problems], columns[place, problems], thresholds, sides)
-
-    def of_all(self, ranks: Ranks) -> "_Best":
-        """The best of what this is on every rank; moves a few numbers a problem."""
-        if ranks.size == 1:
-            return self
-        own = [self.left, self.columns, self.thresholds, self.sides.flatten(1).T]
-        told = ranks.gathered(torch.cat([one.double().reshape(-1, len(self.left)) for one in own]))
-        return _Best.among([self._unpacked(one) for one in told])
-
-    def _unpacked(self, told: Float64[Tensor, "values problems"]) -> "_Best":
-        """What a rank has told, in the types and shapes of this."""
-        sides = told[3:].T.to(self.sides.dtype).view_as(self.sides)
-        return _Best(told[0].to(self.left.dtype), told[1].long(), told[2].byte(), sides)
-
-
-def sweep(
-    data: SortedLevels,
-    weights: Float[Tensor, "frames problems width"],
-    responses: Shaped[Tensor, "frames #problems outputs"],
-    loss: Loss = CLASSES,
-    slack: Float[Tensor, " problems"] | None = None,
-    bins: int = LEVELS,
-) -> Iterator[
-    tuple[
-        SortedColumns,
-        Float[Tensor, "columns bins rows entries problems"],
-        Float[Tensor, "columns bins problems"],
-    ]
-]:
-    """Every sorted column, a chunk at a time: the chunk, sums up to each threshold, and what each leaves.
-
-    Sums are those of the loss's table, what is left is by its `split`; `slack` is 0 by default, and columns
-    have `bins` at most. Raises ValueError where the rows sum to `HEAVIEST` or to no number.
-    """
-    rows = loss.table(weights, responses)
-    table = rows.flatten(1)
-    total = table.sum(0, dtype=torch.float64).to(table.dtype)
-    if not bool((total.abs() < HEAVIEST).all()):  # nor where one is NaN
-        raise ValueError(overflow(weights))
-    slack = weights.new_zeros(weights.shape[1]) if slack is None else slack
-    for chunk in data.chunks(_columns_at_a_time(table, bins), bins):
-        below = _sums_up_to(chunk, table, total, loss.signed).unflatten(2, rows.shape[1:])
-        yield chunk, below, loss.split(below, slack)
-
-
-def _columns_at_a_time(table: Float[Tensor, "frames entries"], bins: int) -> int:
-    """Columns whose histograms are in memory together."""
-    room = CACHED if table.device.type == "cpu" else ON_DEVICE
-    return min(max(room // (bins * table.shape[1]), 1), 128)
-
-
-def _sums_up_to(
-    chunk: SortedColumns,
-    table: Float[Tensor, "frames entries"],
-    total: Float[Tensor, " entries"],
-    signed: bool,
-) -> Float[Tensor, "columns bins entries"]:
-    """Sums up to every bin: sorted frames are the bags' indices; the fullest bin gets what they leave.
-
-    A column's sums are added up one after another, so they are the same in whatever chunk it is.
-    """
-    sums = torch.nn.functional.embedding_bag(chunk.order, table, chunk.starts.flatten(), mode="sum")
-    below = sums.unflatten(0, chunk.starts.shape).cumsum_(1)
-    rest = total - below[:, -1]
-    if not signed:
-        rest.clamp_(min=0)
-    bins = torch.arange(below.shape[1], device=below.device)
-    reached = (bins >= chunk.fullest[:, None]).to(below.dtype)
-    return below.addcmul_(reached[:, :, None], rest[:, None])
-
-
-def _lowest(
-    left: Float[Tensor, "columns bins problems"],
-    below: Float[Tensor, "columns bins rows entries problems"],
-    chunk: SortedColumns,
-) -> _Best:
-    """The best of a chunk's columns."""
-    place = left.flatten(0, 1).argmin(0)
-    bins, problems = left.shape[1], torch.arange(len(place), device=place.device)
-    column, bin_ = place // bins, place % bins
-    pairs = below[column, bin_, :, :, problems], below[column, -1, :, :, problems]
-    return _Best(
-        left[column, bin_, problems],
-        chunk.columns[column],
-        chunk.thresholds[column, bin_],
-        torch.stack(pairs, 1),
-    )

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpmacro.boosting.learners.base import Frames
-from dpmacro.boosting.learners.stumps import StumpClassifier, StumpLearner, sweep
+from dpmacro.boosting.learners.stumps import StumpClassifier, StumpLearner
+from dpmacro.boosting.learners.sweep import sweep
 from dpmacro.boosting.losses.vectors import HuberLoss
 from dpmacro.features.levels import LEVELS, SortedLevels
 
