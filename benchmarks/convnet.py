@@ -25,7 +25,8 @@ from dpmacro.features.base import frames_before
 from dpmacro.features.columns import prepare
 from dpmacro.features.kinds import make_features
 from dpmacro.features.memory import Plan
-from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.switching.settings import SwitchSettings
+from dpmacro.switching.training import fit_switches
 from dpmacro.utils import cli
 
 LEFT_OUT = 4  # one of so many trajectories

@@ -25,7 +25,8 @@ from dpmacro.segmentation.given import FREE, GivenLabels
 from dpmacro.segmentation.marginals import costs_without, margins
 from dpmacro.segmentation.segments import transition_counts
 from dpmacro.switching.functions import SwitchFunctions, causal_labels
-from dpmacro.switching.training import SWITCH_FOLDS, SwitchSettings, fit_switches
+from dpmacro.switching.settings import SWITCH_FOLDS, SwitchSettings
+from dpmacro.switching.training import fit_switches_of_all
 from dpmacro.utils.stages import stage
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
 FINALISTS = 8  # candidates whose changes are recognised best go on to the dearer test,
 LEADERS = 4  # and so many whose training loss is least
 SWITCH_ROUNDS = 30
+PROBLEMS = 256  # switch functions, in all their folds, that are boosted side by side
 SWITCH_COLUMNS = 512
 SCREENING_COLUMNS = 128
 SCREENING_FOLDS = 2
@@ -151,7 +153,7 @@ def score_candidates(
     else:
         order = _recognised(data, task, candidates, on_round)
         fitted = fit(candidates[order])
-    switches = [_switches(data, task, candidates[k], SWITCH_COLUMNS) for k in order]
+    switches = _switches(data, task, candidates[order], SWITCH_COLUMNS)
     scale = task.loss.scale(fitted.alone, task.actions.cpu())
     return [
         Candidate(candidates[k], _scores(task, candidates[k], found, fitted, place, scale), own, scale, found)
@@ -226,26 +228,41 @@ def _recognised(
     """The numbers of the candidates that go on to the dearer test; all where they are few."""
     if len(candidates) <= FINALISTS + LEADERS:
         return list(range(len(candidates)))
-    shares = []
-    for number, labels in enumerate(candidates, 1):
-        shares.append(_switches(data, task, labels, SCREENING_COLUMNS, SCREENING_FOLDS).mean_recognised)
-        on_round(Round("recognise", number, len(candidates), 1 - shares[-1], shares[-1], None))
+    shares: list[float] = []
+    for some in _lots(task, candidates, SCREENING_FOLDS):
+        for found in _switches(data, task, some, SCREENING_COLUMNS, SCREENING_FOLDS):
+            shares.append(found.mean_recognised)
+            on_round(Round("recognise", len(shares), len(candidates), 1 - shares[-1], shares[-1], None))
     recognised = sorted(range(len(candidates)), key=lambda k: -shares[k])
     return list(dict.fromkeys([*recognised[:FINALISTS], *range(LEADERS)]))
 
 
+def _lots(
+    task: Task, candidates: Int64[Tensor, "candidates frames"], folds: int
+) -> tuple[Int64[Tensor, "lot frames"], ...]:
+    """Candidates in so many at a time as switch functions of `PROBLEMS` folds and changes are for."""
+    most = task.macros * (task.macros - 1) + task.macros  # changes and starts of one
+    return candidates.split(max(PROBLEMS // ((folds + 1) * most), 1))
+
+
 def _switches(
-    data: SortedLevels, task: Task, labels: Int64[Tensor, " frames"], columns: int, folds: int = SWITCH_FOLDS
-) -> SwitchFunctions:
-    """Quick switch functions of a candidate, `columns` random columns searched a round, without cues.
+    data: SortedLevels,
+    task: Task,
+    candidates: Int64[Tensor, "candidates frames"],
+    columns: int,
+    folds: int = SWITCH_FOLDS,
+) -> list[SwitchFunctions]:
+    """Quick switch functions of candidates, `columns` random columns searched a round, without cues.
 
     On a demonstration a switch function that missed its change gets another chance from the frames that the
     demonstrator's next actions bring about. With cues a single miss would decide a whole trajectory.
     """
-    generator = torch.Generator().manual_seed(task.seed)
-    learner = StumpLearner(data, drawn=columns)
+    learner, found = StumpLearner(data, drawn=columns), list[SwitchFunctions]()
     settings = SwitchSettings(rounds=SWITCH_ROUNDS, folds=folds, tolerance=task.tolerance)
-    return fit_switches(learner, labels, task.lengths, generator, settings, groups=task.groups)
+    for some in _lots(task, candidates, folds):
+        generator = torch.Generator().manual_seed(task.seed)
+        found += fit_switches_of_all(learner, some, task.lengths, generator, settings, groups=task.groups)
+    return found
 
 
 def _scores(

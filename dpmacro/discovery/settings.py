@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from dpmacro.switching.training import SwitchSettings
+from dpmacro.switching.settings import SwitchSettings
 
 __all__ = ["ORDERS", "RECIPES", "SearchSettings", "paper_switches"]
 

@@ -37,7 +37,7 @@ from dpmacro.estimator.result import DPBoostResult
 from dpmacro.estimator.settling import FinalFit
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
-from dpmacro.switching.training import SwitchSettings
+from dpmacro.switching.settings import SwitchSettings
 from dpmacro.utils.checks import ArrayLike, as_lengths, shown
 
 __all__ = ["DPBoost"]

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dpmacro.discovery.settings import SearchSettings, paper_switches
-from dpmacro.switching.training import SwitchSettings
+from dpmacro.switching.settings import SwitchSettings
 
 __all__ = ["search_of", "shrinkage_of", "switches_of"]
 

@@ -24,8 +24,9 @@ from dpmacro.segmentation.segments import macro_segments
 from dpmacro.switching.alignment import realigned
 from dpmacro.switching.costs import SwitchCosts, change_log_odds
 from dpmacro.switching.functions import SwitchFunctions
+from dpmacro.switching.settings import SwitchSettings
 from dpmacro.switching.threshold import recognised_share
-from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.switching.training import fit_switches
 from dpmacro.utils.stages import stage
 
 __all__ = ["FinalFit", "Settled", "settle"]

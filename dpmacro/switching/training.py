@@ -6,107 +6,25 @@ threshold is chosen by the scores of functions that never saw the trajectory.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from dpmacro.boosting.folds import folds_of
-from dpmacro.boosting.learners.base import WeakLearner
+from dpmacro.boosting.learners.base import StrongClassifier, WeakLearner
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.boosting.losses.classes import MARGIN_LIMIT, exponentials_of
 from dpmacro.boosting.stopping import BestRound
-from dpmacro.segmentation.segments import Segment, macro_segments, starting_macros
-from dpmacro.switching.examples import cues_of, examples, start_examples
-from dpmacro.switching.functions import SwitchFunctions, cued
+from dpmacro.switching.functions import SwitchFunctions
+from dpmacro.switching.settings import SwitchSettings
 from dpmacro.switching.threshold import best_threshold, recognised_share
+from dpmacro.switching.wanted import Ends, Fold, Wanted
 from dpmacro.utils.stages import stage
 
-__all__ = ["SWITCH_FOLDS", "SwitchSettings", "fit_switches"]
-
-SWITCH_FOLDS = 5  # of trajectories; one function for each leaves it out, one more sees all
+__all__ = ["fit_switches", "fit_switches_of_all"]
 
 
-@dataclass(frozen=True)
-class SwitchSettings:
-    """How switch functions learn; a value out of range raises ValueError.
-
-    Attributes:
-        rounds: boosting rounds, 1 or more.
-        window: J >= 1, the positive frames from a change on. Later ones show what the next macro-action
-            does, which a policy that waits for the change never sees.
-        shrinkage: factor in (0, 1] on every weak hypothesis.
-        folds: parts, 2 or more, that trajectories are dealt into; a function that never saw it scores each.
-        early_stopping: whether every switch function keeps the rounds with the least loss on left-out parts.
-        focused: whether frames after other actions than the cues are no examples. Where some changes are
-            a frame or two late all frames are better ones: the true change is then taken for a frame before.
-        whole_past: whether all frames of the trajectory before the change are negatives, as in the paper,
-            instead of the frames of all segments of macro-action q.
-        calibrated: whether left-out scores choose the thresholds; else they are 0.
-        cues: whether a function may fire only after the actions that come before its changes.
-        aligned: whether changes are moved to where left-out functions fire before the final fit.
-        tolerance: frames by which a function may fire early or late and still recognises its change, 0 or
-            more.
-    """
-
-    rounds: int = 400
-    window: int = 3
-    shrinkage: float = 0.2
-    folds: int = SWITCH_FOLDS
-    early_stopping: bool = False
-    focused: bool = True
-    whole_past: bool = False
-    calibrated: bool = True
-    cues: bool = True
-    aligned: bool = True
-    tolerance: int = 0
-
-    def __post_init__(self) -> None:
-        if self.window < 1 or self.rounds < 1:
-            raise ValueError(f"window is {self.window} and rounds {self.rounds}: both must be 1 or more")
-        if not 0 < self.shrinkage <= 1:
-            raise ValueError(f"shrinkage is {self.shrinkage}: give a number above 0 and up to 1")
-        if self.tolerance < 0:
-            raise ValueError(f"tolerance is {self.tolerance}: give 0 or more")
-        if self.folds < 2:
-            raise ValueError(f"folds is {self.folds}: give 2 or more, so that something can be left out")
-
-
-@dataclass(frozen=True)
-class _Fold:
-    """What one fit of the switch functions leaves out, and what the rest says."""
-
-    left_out: Bool[Tensor, " trajectories"]
-    cues: tuple[tuple[int, ...], ...]  # of every pair; none stands for any
-    asked: Bool[Tensor, "frames switches"]  # where the cues allow a change
-
-
-@dataclass(frozen=True)
-class _Ends:
-    """The segments of the macro-action that a change leaves, parted by how they end."""
-
-    changes: Sequence[Segment]
-    others: Sequence[Segment]
-
-    @classmethod
-    def of(cls, pair: tuple[int, int], segments: Sequence[Segment]) -> "_Ends":
-        left = [one for one in segments if one.macro == pair[0]]
-        return cls(
-            [one for one in left if one.following == pair[1]],
-            [one for one in left if one.following != pair[1]],
-        )
-
-    def without(self, left_out: Bool[Tensor, " trajectories"]) -> tuple[list[Segment], list[Segment]]:
-        """Both, but for those of trajectories that are left out."""
-        kept = (~left_out).tolist()
-        changes, others = (
-            [one for one in own if kept[one.trajectory]] for own in (self.changes, self.others)
-        )
-        return changes, others
-
-
-@stage
 def fit_switches(
     learner: WeakLearner,
     labels: Int64[Tensor, " frames"],
@@ -136,82 +54,96 @@ def fit_switches(
 
     Raises ValueError where the learner does not hold a whole number of copies of the frames.
     """
-    n_frames, labels = len(labels), labels.cpu()
+    given = learner, labels[None], lengths, generator, settings, groups, actions, on_round
+    return fit_switches_of_all(*given)[0]
+
+
+@stage
+def fit_switches_of_all(
+    learner: WeakLearner,
+    labellings: Int64[Tensor, "labellings frames"],
+    lengths: Int64[Tensor, " trajectories"],
+    generator: torch.Generator,
+    settings: SwitchSettings,
+    groups: Int64[Tensor, " trajectories"] | None = None,
+    actions: Int64[Tensor, " frames"] | None = None,
+    on_round: Callable[[Round], None] = lambda _: None,
+) -> tuple[SwitchFunctions, ...]:
+    """What `fit_switches` finds for each of several segmentations, boosted side by side on the same draws.
+
+    With early stopping there can be one only: that looks at all switch functions together.
+    """
+    n_frames, labellings = labellings.shape[1], labellings.cpu()
     copies, rest = divmod(learner.n_frames, n_frames)
     if rest or not copies:
         raise ValueError(f"the learner holds {learner.n_frames} frames and {n_frames} are labelled")
-    segments = macro_segments(labels, lengths)
-    pairs = tuple(sorted({(one.macro, one.following) for one in segments if one.following is not None}))
-    begun = starting_macros(labels, lengths)
-    starts = tuple(begun.unique().tolist())
-    asking = starts if len(starts) > 1 else ()
-    if not pairs and not asking:
-        none = torch.zeros(n_frames, 0)
-        return SwitchFunctions((), starts, torch.zeros(0), (), torch.zeros(0), none, none, begun, None)
+    assert len(labellings) == 1 or not settings.early_stopping, "they would wait for one another"
     fold_of = folds_of(len(lengths), settings.folds, generator, groups)
     n_folds = int(fold_of.max()) + 1 if fold_of.any() else 0
-    folds = [_fold(fold_of == fold, pairs, segments, lengths, actions) for fold in [*range(n_folds), -1]]
-    how = settings.window, settings.whole_past
-    weights, targets = zip(
-        *(
-            examples(pair, segments, fold.left_out, shown, *how, lengths)
-            for place, pair in enumerate(pairs)
-            for fold in folds
-            for shown in [fold.asked[:, place] if settings.focused else torch.ones(n_frames).bool()]
-        ),
-        *(
-            start_examples(start, segments, fold.left_out, n_frames, settings.window)
-            for start in asking
-            for fold in folds
-        ),
-        strict=True,
-    )
+    numbers = [*range(n_folds), -1]
+    wanted = [Wanted.of(labels, lengths, fold_of, numbers, settings, actions) for labels in labellings]
+    targets = [target for one in wanted for target in one.targets]
+    if not targets:
+        return tuple(_without_changes(one, n_frames) for one in wanted)
+    weights = [weight for one in wanted for weight in one.weights]
     all_targets = torch.stack(targets, 1).repeat(copies, 1)[:, :, None].to(learner.device)
     boosting = Boosting(learner, all_targets, len(targets), settings.shrinkage, generator)
     base = (torch.stack(weights, 1).repeat(copies, 1) / copies).to(learner.device)
     own_fit = fold_of.clamp(max=max(n_folds - 1, 0)).repeat_interleave(lengths).to(learner.device)
-    scored, kept = _boosted(boosting, base, own_fit, len(folds), settings, on_round)
-    scores, of_starts = scored.cpu().split([len(pairs), len(asking)], 1)
-    scores = scores.masked_fill(~folds[-1].asked, -MARGIN_LIMIT)
-    ends = [_Ends.of(pair, segments) for pair in pairs]
-    margins = _margins(ends, scored.cpu()[:, : len(pairs)], folds, own_fit.cpu(), settings)
-    last = torch.arange(len(folds) - 1, len(targets), len(folds), device=learner.device)
-    return SwitchFunctions(
-        pairs,
-        starts,
-        _thresholds(ends, scores, folds[-1].left_out, settings),
-        folds[-1].cues if actions is not None else (),
-        torch.tensor(
-            [
-                recognised_share(one.changes, own, settings.tolerance)
-                for one, own in zip(ends, margins.T, strict=True)
-            ]
-        ),
-        scores,
-        margins,
-        torch.tensor(starts)[of_starts[lengths.cumsum(0) - lengths].argmax(1)] if asking else begun,
-        boosting.strong(kept).select(last),
-        n_folds > 0,
+    scored, kept = _boosted(boosting, base, own_fit, len(numbers), settings, on_round)
+    last = torch.arange(len(numbers) - 1, len(targets), len(numbers), device=learner.device)
+    strong, sizes = boosting.strong(kept), [one.switches for one in wanted]
+    parts = zip(wanted, scored.cpu().split(sizes, 1), last.split(sizes), strict=True)
+    return tuple(
+        _functions(one, own, lengths, own_fit.cpu(), settings, strong.select(places))
+        if one.switches
+        else _without_changes(one, n_frames)
+        for one, own, places in parts
     )
 
 
-def _fold(
-    left_out: Bool[Tensor, " trajectories"],
-    pairs: Sequence[tuple[int, int]],
-    segments: Sequence[Segment],
+def _without_changes(wanted: Wanted, n_frames: int) -> SwitchFunctions:
+    """Of a segmentation without any change, whose trajectories begin alike."""
+    none, nothing = torch.zeros(n_frames, 0), torch.zeros(0)
+    return SwitchFunctions((), wanted.starts, nothing, (), nothing, none, none, wanted.begun, None)
+
+
+def _functions(
+    wanted: Wanted,
+    scored: Float[Tensor, "frames switches"],
     lengths: Int64[Tensor, " trajectories"],
-    actions: Int64[Tensor, " frames"] | None,
-) -> _Fold:
-    """A fold with the cues that the trajectories outside it give."""
-    if actions is None or not pairs:
-        return _Fold(left_out, (), torch.ones(int(lengths.sum()), len(pairs), dtype=torch.bool))
-    inside = [one for one in segments if not left_out[one.trajectory]]
-    cues = tuple(cues_of(pair, inside, actions) for pair in pairs)
-    return _Fold(left_out, cues, cued(actions, lengths, cues))
+    own_fit: Int64[Tensor, " frames"],
+    settings: SwitchSettings,
+    classifier: StrongClassifier,
+) -> SwitchFunctions:
+    """A segmentation's switch functions, their thresholds, and what they are worth.
+
+    `scored` is what every frame's own fit says, first of changes, then of starts.
+    """
+    pairs, asking, folds = wanted.pairs, wanted.asking, wanted.folds
+    scores, of_starts = scored.split([len(pairs), len(asking)], 1)
+    scores = scores.masked_fill(~folds[-1].asked, -MARGIN_LIMIT)
+    margins = _margins(wanted.ends, scored[:, : len(pairs)], folds, own_fit, settings)
+    told = zip(wanted.ends, margins.T, strict=True)
+    first = wanted.begun
+    if asking:
+        first = torch.tensor(wanted.starts)[of_starts[lengths.cumsum(0) - lengths].argmax(1)]
+    return SwitchFunctions(
+        pairs,
+        wanted.starts,
+        _thresholds(wanted.ends, scores, folds[-1].left_out, settings),
+        folds[-1].cues,
+        torch.tensor([recognised_share(one.changes, own, settings.tolerance) for one, own in told]),
+        scores,
+        margins,
+        first,
+        classifier,
+        len(folds) > 1,
+    )
 
 
 def _thresholds(
-    ends: Sequence[_Ends],
+    ends: Sequence[Ends],
     scores: Float[Tensor, "frames switches"],
     left_out: Bool[Tensor, " trajectories"],
     settings: SwitchSettings,
@@ -227,9 +159,9 @@ def _thresholds(
 
 
 def _margins(
-    ends: Sequence[_Ends],
+    ends: Sequence[Ends],
     scored: Float[Tensor, "frames switches"],
-    folds: Sequence[_Fold],
+    folds: Sequence[Fold],
     own_fit: Int64[Tensor, " frames"],
     settings: SwitchSettings,
 ) -> Float[Tensor, "frames switches"]:

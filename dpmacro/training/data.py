@@ -27,7 +27,7 @@ from dpmacro.features.memory import DRAWN, Demand, Plan
 from dpmacro.features.quantising import Quantiser
 from dpmacro.parallel import ALONE, Ranks
 from dpmacro.policy.recovery import MAX_ACTIONS
-from dpmacro.switching.training import SWITCH_FOLDS
+from dpmacro.switching.settings import SWITCH_FOLDS
 from dpmacro.training.options import DatasetOptions, TrainOptions
 
 __all__ = ["Columns", "TrainingData", "read_demonstrations", "state_key"]

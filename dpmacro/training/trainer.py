@@ -31,7 +31,7 @@ from dpmacro.policy.config import CLASSES, InputConfig, PolicyConfig
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.policy.recovery import Stretches
 from dpmacro.segmentation.given import FREE
-from dpmacro.switching.training import SwitchSettings
+from dpmacro.switching.settings import SwitchSettings
 from dpmacro.training.data import Columns, TrainingData, state_key
 from dpmacro.training.learners import WeakLearners, rounds_of, shrinkage_of
 from dpmacro.training.monitor import Monitor

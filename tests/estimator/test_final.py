@@ -12,7 +12,7 @@ from dpmacro.discovery.search import adopt
 from dpmacro.estimator import final
 from dpmacro.estimator.settling import FinalFit
 from dpmacro.features.levels import SortedLevels
-from dpmacro.switching.training import SwitchSettings
+from dpmacro.switching.settings import SwitchSettings
 
 
 def changing_rule(n=10, length=40):

@@ -15,8 +15,8 @@ from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.given import FREE
 from dpmacro.segmentation.recursion import cost_of, segment
 from dpmacro.segmentation.segments import macro_segments
+from dpmacro.switching.settings import SwitchSettings
 from dpmacro.switching.threshold import recognised_share
-from dpmacro.switching.training import SwitchSettings
 
 
 def fit_of(data, weight=1.0, rounds=20, aligned=True, early_stopping=False):

@@ -7,7 +7,8 @@ import torch
 from visible import functions_of, trajectories
 
 from dpmacro.switching.alignment import aligned, realigned
-from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.switching.settings import SwitchSettings
+from dpmacro.switching.training import fit_switches
 
 
 def test_changes_move_to_where_switch_functions_fire():

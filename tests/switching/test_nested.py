@@ -9,8 +9,8 @@ from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import macro_segments
 from dpmacro.switching.examples import COVERED
+from dpmacro.switching.settings import SWITCH_FOLDS
 from dpmacro.switching.threshold import best_threshold, recognised_share
-from dpmacro.switching.training import SWITCH_FOLDS
 from tests.switching.test_training import fit
 
 

@@ -15,7 +15,8 @@ from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import macro_segments
 from dpmacro.switching.examples import examples
 from dpmacro.switching.functions import causal_labels, cued
-from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.switching.settings import SwitchSettings
+from dpmacro.switching.training import fit_switches, fit_switches_of_all
 
 
 def fit(learner, labels, lengths, rounds=10, actions=None, on_round=lambda _: None, **settings):
@@ -267,3 +268,21 @@ def test_without_left_out_scores_thresholds_and_cues_are_not_chosen():
     torch.testing.assert_close(off.margins, off.scores)
     on = fit(learner, labels, lengths, actions=actions)
     assert on.thresholds.tolist() != [0.0] and on.cues == ((1,),)
+
+
+def test_segmentations_side_by_side_get_the_functions_that_each_gets_alone():
+    learner, labels, lengths = trajectories()
+    halves = torch.cat([torch.arange(n) >= n // 2 for n in lengths.tolist()]).long()
+    without = torch.zeros_like(labels)
+    settings = SwitchSettings(rounds=8)
+    every = torch.stack([labels, without, halves, 1 - labels])
+    together = fit_switches_of_all(learner, every, lengths, torch.Generator().manual_seed(3), settings)
+    for own, found in zip(every, together, strict=True):
+        alone = fit_switches(learner, own, lengths, torch.Generator().manual_seed(3), settings)
+        assert (found.pairs, found.starts, found.cues) == (alone.pairs, alone.starts, alone.cues)
+        for name in ("thresholds", "recognised", "scores", "margins"):
+            torch.testing.assert_close(getattr(found, name), getattr(alone, name))
+        if alone.classifier is None:
+            assert found.classifier is None
+        else:
+            assert torch.equal(found.classifier.columns[:, :1], alone.classifier.columns[:, :1])

@@ -13,7 +13,8 @@ from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.features.encoders.pixels import Pixels
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
-from dpmacro.switching.training import SwitchSettings, fit_switches
+from dpmacro.switching.settings import SwitchSettings
+from dpmacro.switching.training import fit_switches
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SIDE = 12
