@@ -15,6 +15,26 @@ __all__ = ["LEVELS", "SortedColumns", "SortedLevels"]
 
 LEVELS = 256  # a level is a byte
 PART = 64  # columns that a thread sorts at a time
+BLOCK = 8192  # frames that are sorted together: what a search gathers of so many stays in a core's cache
+
+
+@dataclass(frozen=True)
+class SortedFrames:
+    """Some frames side by side, sorted by their levels in every column; the fullest bin lists none."""
+
+    order: Int32[Tensor, " entries"]  # frame numbers by ascending level, column after column
+    ends: Int64[Tensor, " sorted"]  # where a column's entries end; on the CPU
+    starts: Int32[Tensor, "sorted bins"]  # a bin's first entry within its column
+
+    def take(self, places: Int64[Tensor, " taken"]) -> "SortedFrames":
+        """Just the columns at these places, which are on the CPU."""
+        sizes = self.ends.diff(prepend=self.ends.new_zeros(1))[places]
+        firsts = (self.ends[places] - sizes).tolist()
+        slices = [
+            self.order[first : first + size] for first, size in zip(firsts, sizes.tolist(), strict=True)
+        ]
+        order = torch.cat(slices) if slices else self.order[:0]
+        return SortedFrames(order, sizes.cumsum(0), self.starts[places.to(self.starts.device)])
 
 
 @dataclass(frozen=True)
@@ -22,12 +42,12 @@ class SortedColumns:
     """Columns side by side, in bins: one for every level that some frame of a column has, ascending.
 
     The fullest bin of a column lists no frames: what it weighs is what the others leave, so a search need
-    not read it.
+    not read it. `entries` has, for each block of frames, their numbers by ascending level, column after
+    column, and the place of every bin's first; bins that a column lacks are empty.
     """
 
     columns: Int64[Tensor, " columns"]  # their numbers
-    order: Int32[Tensor, " entries"]  # frame numbers by ascending level, column after column
-    starts: Int32[Tensor, "columns bins"]  # a bin's first entry; bins that a column lacks are empty
+    entries: tuple[tuple[Int32[Tensor, " _"], Int32[Tensor, "columns bins"]], ...]
     thresholds: UInt8[Tensor, "columns bins"]  # the level of a bin
     fullest: Int64[Tensor, " columns"]  # the bin that lists no frames
 
@@ -43,9 +63,7 @@ class SortedLevels:
     levels: UInt8[Tensor, "own frames"]
     is_sorted: bool  # whether all columns are, not just some that were taken, or none
     columns: Int64[Tensor, " sorted"]  # which of the own are sorted, ascending
-    order: Int32[Tensor, " entries"]
-    ends: Int64[Tensor, " sorted"]  # where a column's entries end; on the CPU
-    starts: Int32[Tensor, "sorted bins"]  # a bin's first entry within its column
+    blocks: tuple[SortedFrames, ...]
     thresholds: UInt8[Tensor, "sorted bins"]
     counts: Int64[Tensor, " sorted"]  # a column's bins; on the CPU
     fullest: Int64[Tensor, " sorted"]
@@ -68,40 +86,50 @@ class SortedLevels:
         """
         shares = shares or Shares(len(levels))
         chosen = shares.own if columns is None else columns.cpu()
-        source = (
-            (levels if columns is None else levels[shares.places(chosen).to(levels.device)]).cpu().numpy()
-        )
-        histograms = np.empty((len(source), LEVELS), np.int32)
+        device = levels.device
+        source = (levels if columns is None else levels[shares.places(chosen).to(device)]).cpu().numpy()
+        size = BLOCK if device.type == "cpu" else max(source.shape[1], 1)  # a GPU has fewer, larger caches
+        blocks = [source[:, k : k + size] for k in range(0, source.shape[1], size)]
+        histograms = np.empty((len(blocks), len(source), LEVELS), np.int32)
         parts = [range(k, min(k + PART, len(source))) for k in range(0, len(source), PART)]
 
         def count(part: range) -> None:
-            for k in part:
-                histograms[k] = np.bincount(source[k], minlength=LEVELS)
+            for number, block in enumerate(blocks):
+                for k in part:
+                    histograms[number, k] = np.bincount(block[k], minlength=LEVELS)
 
         def sort(part: range) -> None:
-            for k in part:
-                by_level = source[k].argsort(kind="stable")
-                low = histograms[k, : full_levels[k]].sum()
-                high = low + histograms[k, full_levels[k]]
-                entries = order[ends[k] - len(by_level) + high - low : ends[k]]
-                entries[:low], entries[low:] = by_level[:low], by_level[high:]
+            for number, block in enumerate(blocks):
+                for k in part:
+                    by_level = block[k].argsort(kind="stable")
+                    low = histograms[number, k, : full_levels[k]].sum()
+                    high = low + histograms[number, k, full_levels[k]]
+                    entries = orders[number][ends[number, k] - len(by_level) + high - low : ends[number, k]]
+                    np.add(by_level[:low], number * size, out=entries[:low], casting="same_kind")
+                    np.add(by_level[high:], number * size, out=entries[low:], casting="same_kind")
 
         with ThreadPoolExecutor(torch.get_num_threads()) as threads:
             list(threads.map(count, parts))
-            full_levels = histograms.argmax(1)
-            ends = (source.shape[1] - histograms.max(1)).cumsum(dtype=np.int64)
-            order = np.empty(ends[-1] if len(ends) else 0, np.int32)
+            full_levels = histograms.sum(0).argmax(1)
+            listed = histograms.sum(2, dtype=np.int64)
+            listed -= histograms[:, np.arange(len(source)), full_levels]
+            ends = listed.cumsum(1)
+            orders = [np.empty(own[-1] if len(own) else 0, np.int32) for own in ends]
             list(threads.map(sort, parts))
         starts, thresholds, counts, fullest = _bins(histograms, full_levels)
-        device = levels.device
         return cls(
             shares,
             levels,
             columns is None,
             chosen.to(device),
-            torch.from_numpy(order).to(device),
-            torch.from_numpy(ends),
-            torch.from_numpy(starts).to(device),
+            tuple(
+                SortedFrames(
+                    torch.from_numpy(order).to(device),
+                    torch.from_numpy(end),
+                    torch.from_numpy(own).to(device),
+                )
+                for order, end, own in zip(orders, ends, starts, strict=True)
+            ),
             torch.from_numpy(thresholds).to(device),
             torch.from_numpy(counts),
             torch.from_numpy(fullest).to(device),
@@ -163,19 +191,12 @@ class SortedLevels:
             return self.build(self.levels, columns, shares=self.shares)
         cpu = self.shares.places(columns.cpu())
         places = cpu.to(self.columns.device)
-        sizes = self.ends.diff(prepend=self.ends.new_zeros(1))[cpu]
-        firsts = (self.ends[cpu] - sizes).tolist()
-        slices = [
-            self.order[first : first + size] for first, size in zip(firsts, sizes.tolist(), strict=True)
-        ]
         return SortedLevels(
             self.shares,
             self.levels,
             False,
             columns.to(self.columns.device),
-            torch.cat(slices) if slices else self.order[:0],
-            sizes.cumsum(0),
-            self.starts[places],
+            tuple(block.take(cpu) for block in self.blocks),
             self.thresholds[places],
             self.counts[cpu],
             self.fullest[places],
@@ -189,46 +210,60 @@ class SortedLevels:
         """
         for first in range(0, len(self.columns), size):
             part = slice(first, first + size)
-            ends, counts = self.ends[part], self.counts[part]
-            offset = int(self.ends[first - 1]) if first else 0
+            counts, fullest = self.counts[part], self.fullest[part]
             width = int(counts.max())
-            before = torch.nn.functional.pad(ends[:-1] - offset, (1, 0)).to(torch.int32)
-            starts, thresholds, fullest = (
-                self.starts[part, :width],
-                self.thresholds[part, :width],
-                self.fullest[part],
-            )
+            thresholds, joined = self.thresholds[part, :width], None
             if width > most:
-                together = (-(-counts // most)).to(starts.device)[:, None]
-                firsts = torch.arange(most, device=starts.device) * together
-                lasts = torch.minimum(firsts + together, counts.to(starts.device)[:, None]) - 1
-                ended = firsts > lasts
-                listed = (ends.diff(prepend=torch.tensor([offset]))).to(starts.device)[:, None]
-                starts = torch.where(ended, listed, starts.gather(1, firsts.clamp(max=width - 1)))
-                starts = starts.to(torch.int32)
-                thresholds = thresholds.gather(1, lasts.clamp(min=0))
-                fullest = fullest // together[:, 0]
-            yield SortedColumns(
-                self.columns[part],
-                self.order[offset : int(ends[-1])],
-                starts + before.to(starts.device)[:, None],
-                thresholds,
-                fullest,
-            )
+                joined = _Joined.of(counts, most, thresholds.device)
+                thresholds = thresholds.gather(1, joined.lasts.clamp(min=0))
+                fullest = fullest // joined.together[:, 0]
+            entries = tuple(_entries(block, part, width, joined) for block in self.blocks)
+            yield SortedColumns(self.columns[part], entries, thresholds, fullest)
+
+
+@dataclass(frozen=True)
+class _Joined:
+    """Bins side by side that are taken together: how many of a column, and the first and last of each."""
+
+    together: Int64[Tensor, "columns 1"]
+    firsts: Int64[Tensor, "columns most"]
+    lasts: Int64[Tensor, "columns most"]
+
+    @classmethod
+    def of(cls, counts: Int64[Tensor, " columns"], most: int, device: torch.device) -> "_Joined":
+        """`most` of a column at most."""
+        counts = counts.to(device)[:, None]
+        together = -(-counts // most)
+        firsts = torch.arange(most, device=device) * together
+        return cls(together, firsts, torch.minimum(firsts + together, counts) - 1)
+
+
+def _entries(
+    block: SortedFrames, part: slice, width: int, joined: _Joined | None
+) -> tuple[Int32[Tensor, " entries"], Int32[Tensor, "columns bins"]]:
+    """What a block lists of some columns, and where every bin begins in it."""
+    ends, starts = block.ends[part], block.starts[part, :width]
+    offset = int(block.ends[part.start - 1]) if part.start else 0
+    before = torch.nn.functional.pad(ends[:-1] - offset, (1, 0)).to(torch.int32)
+    if joined is not None:
+        listed = ends.diff(prepend=torch.tensor([offset])).to(starts.device)[:, None]
+        found = starts.gather(1, joined.firsts.clamp(max=width - 1))
+        starts = torch.where(joined.firsts > joined.lasts, listed, found).to(torch.int32)
+    return block.order[offset : int(ends[-1])], starts + before.to(starts.device)[:, None]
 
 
 def _bins(
     histograms: np.ndarray, full_levels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Starts, thresholds, number of bins and place of the fullest bin, from frames per column and level."""
-    present = histograms > 0
-    rows = np.arange(len(histograms))
+    """Starts by block, thresholds, number of bins and the fullest, from frames by block and level."""
+    present = histograms.sum(0) > 0
+    rows = np.arange(len(present))
     listed = histograms.copy()
-    listed[rows, full_levels] = 0
-    ends = listed.cumsum(1, dtype=np.int32)
+    listed[:, rows, full_levels] = 0
+    ends = listed.cumsum(2, dtype=np.int32)
     by_presence = (~present).argsort(1, kind="stable")  # levels that have frames first, ascending
     lacking = ~np.take_along_axis(present, by_presence, 1)
-    starts = np.take_along_axis(ends - listed, by_presence, 1)
-    starts = np.where(lacking, ends[:, -1:], starts)
+    starts = np.take_along_axis(ends - listed, by_presence[None], 2)
+    starts = np.where(lacking, ends[:, :, -1:], starts)
     fullest = present.cumsum(1)[rows, full_levels] - 1
     return starts, by_presence.astype(np.uint8), present.sum(1), fullest

@@ -6,20 +6,36 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dpmacro.features import levels as module
 from dpmacro.features.levels import SortedLevels
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+
+
+@pytest.fixture(params=[module.BLOCK, 7], autouse=True)
+def blocks(request):
+    """Frames are sorted in blocks, here of few."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "BLOCK", request.param)
+        yield
+
+
+def listed(chunk, k, place):
+    """The frames that a chunk lists in a bin of its k-th column, ascending where their levels are equal."""
+    found, bag = [], k * chunk.thresholds.shape[1] + place
+    for order, starts in chunk.entries:
+        edges = [*starts.flatten().tolist(), len(order)]
+        found += order[edges[bag] : edges[bag + 1]].tolist()
+    return found
 
 
 def bins_of(data, size):
     """{column: {level: frames}} as the chunks list them; the fullest bin as None."""
     found, column = {}, 0
     for chunk in data.chunks(size):
-        starts = [*chunk.starts.flatten().tolist(), len(chunk.order)]
-        width = chunk.starts.shape[1]
-        for k in range(len(chunk.starts)):
-            bags = range(k * width, (k + 1) * width)
-            lists = [chunk.order[starts[b] : starts[b + 1]].tolist() for b in bags]
+        columns, width = chunk.thresholds.shape
+        for k in range(columns):
+            lists = [listed(chunk, k, place) for place in range(width)]
             count = int(data.counts[column])
             assert not any(lists[count:]), "a bin that the column lacks lists frames"
             bins = dict(zip(chunk.thresholds[k, :count].tolist(), lists[:count], strict=True))
@@ -75,18 +91,17 @@ def test_bins_side_by_side_are_taken_together(seed, n_columns, n_frames, n_level
     data = SortedLevels.build(torch.tensor(levels.astype(np.uint8)))
     column = 0
     for chunk in data.chunks(size, most):
-        starts, width = [*chunk.starts.flatten().tolist(), len(chunk.order)], chunk.starts.shape[1]
+        columns, width = chunk.thresholds.shape
         assert width <= most
-        for k in range(len(chunk.starts)):
+        for k in range(columns):
             present = np.unique(levels[column])
             together = -(-len(present) // most)
             groups = [present[first : first + together] for first in range(0, len(present), together)]
             full = max(present, key=lambda level: ((levels[column] == level).sum(), -level))
             for place in range(width):
-                listed = chunk.order[starts[k * width + place] : starts[k * width + place + 1]].tolist()
                 group = groups[place] if place < len(groups) else []
                 own = np.flatnonzero(np.isin(levels[column], group) & (levels[column] != full))
-                assert sorted(listed) == own.tolist()
+                assert sorted(listed(chunk, k, place)) == own.tolist()
                 if place < len(groups):
                     assert int(chunk.thresholds[k, place]) == group[-1]
                     assert (full in group) == (place == int(chunk.fullest[k]))

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 
 import torch
 from jaxtyping import Float, Float64, Int64, Shaped, UInt8
@@ -108,8 +109,11 @@ def _sums_up_to(
 
     A column's sums are added up one after another, so they are the same in whatever chunk it is.
     """
-    sums = torch.nn.functional.embedding_bag(chunk.order, table, chunk.starts.flatten(), mode="sum")
-    below = sums.unflatten(0, chunk.starts.shape).cumsum_(1)
+    parts = (
+        torch.nn.functional.embedding_bag(order, table, starts.flatten(), mode="sum")
+        for order, starts in chunk.entries
+    )
+    below = reduce(Tensor.add_, parts).unflatten(0, chunk.thresholds.shape).cumsum_(1)
     rest = total - below[:, -1]
     if not signed:
         rest.clamp_(min=0)
