@@ -17,6 +17,7 @@ from dpmacro.utils.stages import storable
 __all__ = ["Search", "StumpClassifier", "StumpLearner", "Stumps"]
 
 REDRAWN = 10  # rounds that a draw serves at least where its columns are sorted when they are drawn
+ROW = 48  # numbers in a row of the table, which is gathered by frame: with `BLOCK` rows a megabyte and a half
 SHORTLIST = 64  # columns that every problem passes on to the rounds that re-use them
 
 
@@ -159,17 +160,17 @@ class StumpLearner:
         shortlisting = self.reuse > 1 and self.drawn == 0 and memory is None
         held = (weights > 0).any(2).sum(0).clamp(min=1)
         slack = self.smoothing * weights.sum((0, 2)) / (held * weights.shape[2])
-        found, minima = [], []
-        for chunk, below, left in sweep(search.data, weights, responses, loss, slack, self.bins):
-            found.append(lowest(left, below, chunk))
-            if shortlisting:
-                minima.append(left.amin(1))
-        if not found:  # other ranks hold the columns
-            found = [Best.none(loss.table(weights[:1], responses[:1])[0])]
-        best = Best.among(found).of_all(search.data.shares.ranks)
+        found, minima = zip(
+            *(
+                self._best(search.data, weights[:, part], _own(responses, part), loss, slack[part])
+                for part in _side_by_side(weights, responses, loss)
+            ),
+            strict=True,
+        )
+        best = Best.side_by_side(found).of_all(search.data.shares.ranks)
         stumps = Stumps(best.columns, best.thresholds, loss.votes(best.sides, slack))
         if shortlisting:
-            return stumps, Search(self.data.take(self._shortlist(minima, weights.shape[1])), self.reuse - 1)
+            return stumps, Search(self.data.take(self._shortlist(torch.cat(minima, 1))), self.reuse - 1)
         return stumps, Search(search.data, search.rounds - 1) if search.rounds > 1 else None
 
     def outputs(self, hypotheses: Stumps) -> Float[Tensor, "frames problems classes"]:
@@ -196,10 +197,43 @@ class StumpLearner:
         rounds = self.reuse if self.data.is_sorted else max(self.reuse, REDRAWN)
         return Search(self.data.take(columns), rounds)
 
-    def _shortlist(
-        self, minima: list[Float[Tensor, "_ problems"]], n_problems: int
-    ) -> Int64[Tensor, " shortlisted"]:
+    def _best(
+        self,
+        data: SortedLevels,
+        weights: Float[Tensor, "frames problems width"],
+        responses: Shaped[Tensor, "frames #problems outputs"],
+        loss: Loss,
+        slack: Float[Tensor, " problems"],
+    ) -> tuple[Best, Float[Tensor, "sorted problems"]]:
+        """The best stumps of this rank's sorted columns, and the least that each column leaves."""
+        found, minima = [], [weights.new_zeros(0, weights.shape[1])]
+        for chunk, below, left in sweep(data, weights, responses, loss, slack, self.bins):
+            found.append(lowest(left, below, chunk))
+            minima.append(left.amin(1))
+        if not found:  # other ranks hold the columns
+            found = [Best.none(loss.table(weights[:1], responses[:1])[0])]
+        return Best.among(found), torch.cat(minima)
+
+    def _shortlist(self, minima: Float[Tensor, "own problems"]) -> Int64[Tensor, " shortlisted"]:
         """The `SHORTLIST` columns that leave each problem least, the first of equals."""
-        own = torch.cat(minima) if minima else torch.zeros(0, n_problems, device=self.device)
-        left = self.data.shares.whole(own)
+        left = self.data.shares.whole(minima)
         return left.argsort(dim=0, stable=True)[:SHORTLIST].unique()
+
+
+def _own(
+    responses: Shaped[Tensor, "frames #problems outputs"], part: slice
+) -> Shaped[Tensor, "frames #some outputs"]:
+    """Responses of some problems; those that all have in common as they are."""
+    return responses if responses.shape[1] == 1 else responses[:, part]
+
+
+def _side_by_side(
+    weights: Float[Tensor, "frames problems width"],
+    responses: Shaped[Tensor, "frames #problems outputs"],
+    loss: Loss,
+) -> list[slice]:
+    """Problems in so many at a time that a block of their table stays in a core's cache; all on a GPU."""
+    count = weights.shape[1]
+    each = loss.table(weights[:1, :1], responses[:1, :1])[0].numel()
+    size = max(ROW // each, 1) if weights.device.type == "cpu" else count
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]

@@ -1,6 +1,6 @@
 """The search for the best stump of every problem: a pass over all columns, and what ranks tell of theirs."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -48,6 +48,12 @@ class Best:
             for name in ("thresholds", "sides")
         )
         return cls(left[place, problems], columns[place, problems], thresholds, sides)
+
+    @classmethod
+    def side_by_side(cls, parts: "Sequence[Best]") -> "Best":
+        """Those of some problems, then those of others."""
+        names = ("left", "columns", "thresholds", "sides")
+        return cls(*(torch.cat([getattr(one, name) for one in parts]) for name in names))
 
     def of_all(self, ranks: Ranks) -> "Best":
         """The best of what this is on every rank; moves a few numbers a problem."""
