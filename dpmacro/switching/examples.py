@@ -31,10 +31,14 @@ def examples(
         shown: frames that may be examples.
         window: J, the positive frames from a change on; fewer where the next segment is shorter.
         whole_past: whether the negatives are all frames of the trajectory before a change of the pair (the
-            paper's), instead of those of all segments of the pair's first macro-action.
+            paper's), instead of those of all segments of the pair's first macro-action, and, weighing as much
+            as those together, the first J frames after its changes to others.
         lengths: frames of every trajectory.
+
+    Without those of other changes functions of one macro-action would all fire where it ends, and which fires
+    highest would be chance.
     """
-    weights = torch.zeros(len(shown))
+    weights, rivals = torch.zeros(2, len(shown))
     targets = torch.zeros(len(shown), dtype=torch.bool)
     firsts = (lengths.cumsum(0) - lengths).tolist()
     for segment in segments:
@@ -42,11 +46,16 @@ def examples(
         if segment.macro != pair[0] or left_out[segment.trajectory] or (whole_past and not changes):
             continue
         weights[firsts[segment.trajectory] if whole_past else segment.start : segment.stop] = 1
+        after = slice(segment.stop, min(segment.stop + window, segment.following_stop))
         if changes:
-            positives = slice(segment.stop, min(segment.stop + window, segment.following_stop))
-            weights[positives] = 1
-            targets[positives] = True
-    return _balanced(weights * shown, targets), targets
+            weights[after] = 1
+            targets[after] = True
+        else:
+            rivals[after] = 1
+    past, rivals = weights * shown * ~targets, rivals * shown * (weights == 0)
+    if past.any() and rivals.any():
+        rivals *= past.sum() / rivals.sum()
+    return _balanced(weights * shown + rivals, targets), targets
 
 
 def start_examples(

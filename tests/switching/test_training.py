@@ -1,5 +1,6 @@
 """Switch functions fitted to trajectories whose change can be seen, and to some where it cannot."""
 
+from collections import Counter
 from itertools import chain
 
 import pytest
@@ -248,16 +249,26 @@ def test_examples_are_the_frames_from_a_change_on_and_those_before_it(data, whol
             since = next((k for k in range(frame, 0, -1) if part[k - 1] != part[k]), 0)  # its segment's start
             positive = since > 0 and (part[since - 1], macro) == (0, 1) and frame - since < window
             negative = frame < last if whole_past else macro == 0
-            side.append(
-                "" if out or not shown[len(side)] else "positive" if positive else "negative" * negative
+            after = since > 0 and part[since - 1] == 0 and frame - since < window
+            kind = (
+                "positive" if positive else "negative" if negative else "rival" * (after and not whole_past)
             )
+            side.append("" if out or not shown[len(side)] else kind)
     labels, lengths = torch.tensor([*chain(*parts)]), torch.tensor([len(part) for part in parts])
     segments = macro_segments(labels, lengths)
     given = segments, torch.tensor(left_out), torch.tensor(shown), window, whole_past, lengths
     weights, targets = examples((0, 1), *given)
-    for name, own in (("positive", targets), ("negative", ~targets)):
-        expected = torch.tensor([float(found == name) for found in side])
-        torch.testing.assert_close(weights * own, expected / max(2 * float(expected.sum()), 1))
+    counts = Counter(side)
+    shares = {
+        "positive": 2 * counts["positive"],
+        "negative": 2 * counts["negative"],
+        "rival": 2 * counts["rival"],
+    }
+    if counts["negative"] and counts["rival"]:  # a quarter each
+        shares = {name: share * (1 if name == "positive" else 2) for name, share in shares.items()}
+    expected = torch.tensor([1 / shares[name] if name else 0.0 for name in side])
+    torch.testing.assert_close(weights, expected)
+    assert targets.tolist() == [name == "positive" for name in side] or not all(shown)
 
 
 def test_without_left_out_scores_thresholds_and_cues_are_not_chosen():
@@ -286,3 +297,17 @@ def test_segmentations_side_by_side_get_the_functions_that_each_gets_alone():
             assert found.classifier is None
         else:
             assert torch.equal(found.classifier.columns[:, :1], alone.classifier.columns[:, :1])
+
+
+def test_changes_to_several_macro_actions_are_told_apart():
+    """Where macro-action 0 ends is seen in column 0, and which one follows in column 1, from the start."""
+    lengths, generator = torch.full((12,), 20), torch.Generator().manual_seed(0)
+    change = torch.randint(6, 14, (12,), generator=generator)
+    over = torch.cat([torch.arange(20) >= one for one in change.tolist()])
+    side = (torch.arange(12) % 3 == 0).repeat_interleave(lengths)
+    labels = torch.where(over, torch.where(side, 2, 1), 0)
+    noise = torch.randint(0, 256, (4, len(labels)), dtype=torch.uint8, generator=generator)
+    levels = torch.cat([torch.stack([over, side]).to(torch.uint8) * 200, noise])
+    switches = fit(StumpLearner(SortedLevels.build(levels)), labels, lengths)
+    assert switches.pairs == ((0, 1), (0, 2))
+    assert torch.equal(causal_labels(switches.margins, switches.pairs, lengths, switches.first), labels)
