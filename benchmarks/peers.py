@@ -21,7 +21,7 @@ import numpy as np
 from matrices import Matrix
 from measure import peak_gib
 
-__all__ = ["ada_boost", "hist_gradient_boosting", "lightgbm", "xgboost"]
+__all__ = ["ada_boost", "catboost", "hist_gradient_boosting", "lightgbm", "xgboost"]
 
 SHRINKAGE = 0.1
 PATIENCE = 60.0  # seconds of rounds, after which LEAST of them will do
@@ -59,8 +59,8 @@ def lightgbm(
     return _result(seconds, binning, data, lambda frames: np.argmax(booster.predict(frames), 1))
 
 
-def xgboost(matrix: str, rounds: int, threads: int) -> dict[str, Any]:
-    """XGBoost's hist with trees of depth 1."""
+def xgboost(matrix: str, rounds: int, threads: int, trees: str = "one_output_per_tree") -> dict[str, Any]:
+    """XGBoost's hist with trees of depth 1, one a class, or with `trees` "multi_output_tree" one for all."""
     import xgboost
 
     data = Matrix.load(matrix)
@@ -72,6 +72,7 @@ def xgboost(matrix: str, rounds: int, threads: int) -> dict[str, Any]:
         "max_bin": 256,
         "eta": SHRINKAGE,
         "min_child_weight": 0,
+        "multi_strategy": trees,
         "nthread": threads,
     }
     clock = time.perf_counter()
@@ -80,6 +81,40 @@ def xgboost(matrix: str, rounds: int, threads: int) -> dict[str, Any]:
     binning = time.perf_counter() - clock
     seconds = _rounds(lambda number: booster.update(dataset, number), rounds, PATIENCE)
     return _result(seconds, binning, data, lambda frames: booster.predict(xgboost.DMatrix(frames)).argmax(1))
+
+
+def catboost(matrix: str, rounds: int, threads: int) -> dict[str, Any]:
+    """CatBoost with symmetric trees of depth 1, which vote for all classes; its pool is quantised first."""
+    import catboost
+
+    data = Matrix.load(matrix)
+    options = {
+        "depth": 1,
+        "learning_rate": SHRINKAGE,
+        "thread_count": threads,
+        "loss_function": "MultiClass",
+        "bootstrap_type": "No",
+        "random_strength": 0,
+        "allow_writing_files": False,
+        "logging_level": "Silent",
+    }
+    clock = time.perf_counter()
+    pool = catboost.Pool(np.asarray(data.features, np.float32), np.array(data.actions), thread_count=threads)
+    pool.quantize(border_count=254)
+    binning = time.perf_counter() - clock
+    ends: list[float] = []
+
+    class Stamps:
+        def after_iteration(self, info: Any) -> bool:
+            ends.append(time.perf_counter())
+            waited = len(ends) >= LEAST and ends[-1] - ends[0] > PATIENCE
+            return not waited
+
+    classifier = catboost.CatBoostClassifier(iterations=rounds, **options)
+    started = time.perf_counter()
+    classifier.fit(pool, callbacks=[Stamps()])
+    seconds = np.diff([started, *ends]).tolist()
+    return _result(seconds, binning, data, lambda frames: classifier.predict(frames)[:, 0])
 
 
 def hist_gradient_boosting(matrix: str, rounds: int, threads: int) -> dict[str, Any]:

@@ -13,6 +13,8 @@ PEERS: dict[str, tuple[str, dict[str, Any]]] = {
     "LightGBM": ("peers.lightgbm", {}),
     "LightGBM row-wise": ("peers.lightgbm", {"layout": "row"}),
     "XGBoost": ("peers.xgboost", {}),
+    "XGBoost, a tree for all classes": ("peers.xgboost", {"trees": "multi_output_tree"}),
+    "CatBoost": ("peers.catboost", {}),
     "HistGradientBoosting": ("peers.hist_gradient_boosting", {}),
     "AdaBoost": ("peers.ada_boost", {}),
 }
