@@ -1,6 +1,7 @@
 """train.py as torchrun starts it: any number of ranks trains the same policy, and one that dies ends all."""
 
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -18,7 +19,9 @@ FOUND = ("model.safetensors", "config.json", "../training_state/segmentation.saf
 def torchrun(size, *arguments, dies=None):
     """What so many ranks print on stdout and stderr, their exit status, and the seconds they took."""
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc_per_node={size}"]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    # Ranks meet on this machine's loopback: its host name may be known to nobody.
+    loopback = next(name for _, name in socket.if_nameindex() if name.startswith("lo"))
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "GLOO_SOCKET_IFNAME": loopback}
     environment |= {} if dies is None else {"DIES": str(dies)}
     started = time.monotonic()
     done = subprocess.run(
