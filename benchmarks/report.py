@@ -14,7 +14,17 @@ from dpmacro.utils.files import replacing
 
 __all__ = ["Row", "header", "inserted", "markdown", "table", "write"]
 
-PACKAGES = ("torch", "numpy", "lightgbm", "xgboost", "catboost", "scikit-learn", "numba", "hmmlearn", "pybullet")
+PACKAGES = (
+    "torch",
+    "numpy",
+    "lightgbm",
+    "xgboost",
+    "catboost",
+    "scikit-learn",
+    "numba",
+    "hmmlearn",
+    "pybullet",
+)
 ROOT = Path(__file__).parents[1]
 
 

@@ -16,7 +16,6 @@ from tabletop import tabletop
 from torch import Tensor
 
 from dpmacro.boosting.losses.vectors import HuberLoss
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.race import boosted_in_turn, raced
 from dpmacro.discovery.search import VECTOR_SHRINKAGE, discover
 from dpmacro.discovery.settings import SearchSettings
@@ -27,6 +26,7 @@ from dpmacro.discovery.starts import (
     linear_alternation,
     vector_starts,
 )
+from dpmacro.discovery.task import Task
 from dpmacro.estimator.arguments import Standardiser
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser

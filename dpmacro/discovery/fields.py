@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting
-from dpmacro.discovery.candidates import Task
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 

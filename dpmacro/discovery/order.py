@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.fields import field_of
 from dpmacro.discovery.starts import Moments, evidence_of, linear_alternation, vector_starts
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 
 __all__ = ["Order", "order_of"]

@@ -16,11 +16,11 @@ from dpmacro.boosting.crossfit import pace_of
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.discovery.alternation import Alternated, alternate, pooled
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.fields import extended, given_field
 from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts.linear import Moments, linear_alternation
 from dpmacro.discovery.starts.vectors import evidence_of, vector_starts
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import distinct
 from dpmacro.utils.stages import stage

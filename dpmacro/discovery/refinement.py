@@ -9,15 +9,10 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from dpmacro.boosting.loop import Round
-from dpmacro.discovery.candidates import (
-    Candidate,
-    Task,
-    action_charges,
-    left_out_charges,
-    score_candidates,
-)
+from dpmacro.discovery.candidates import Candidate, action_charges, left_out_charges, score_candidates
 from dpmacro.discovery.criteria import best_candidate
 from dpmacro.discovery.result import Discovery
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 from dpmacro.switching.costs import change_log_odds, charges_of

@@ -6,8 +6,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from dpmacro.discovery.alternation import Alternated
-from dpmacro.discovery.candidates import Candidate, Task, left_out_charges
+from dpmacro.discovery.candidates import Candidate, left_out_charges
 from dpmacro.discovery.criteria import CandidateScores
+from dpmacro.discovery.task import Task
 from dpmacro.segmentation.recursion import segment
 from dpmacro.segmentation.segments import transition_counts
 

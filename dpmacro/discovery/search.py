@@ -15,7 +15,7 @@ from torch import Tensor
 
 from dpmacro.boosting.loop import Round
 from dpmacro.discovery.alternation import Alternated, pooled
-from dpmacro.discovery.candidates import Candidate, Task, score_candidates
+from dpmacro.discovery.candidates import Candidate, score_candidates
 from dpmacro.discovery.criteria import best_candidate
 from dpmacro.discovery.fields import Field, extended, field_of
 from dpmacro.discovery.race import boosted, boosted_in_turn, raced, taught
@@ -31,6 +31,7 @@ from dpmacro.discovery.starts import (
     random_cuts,
     window_clusters,
 )
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.segments import distinct
 

@@ -15,8 +15,8 @@ from torch import Tensor
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.boosting.losses.vectors import LOSSES, HuberLoss
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.settings import ORDERS, RECIPES
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.given import FREE
 from dpmacro.utils.checks import (

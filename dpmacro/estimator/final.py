@@ -8,10 +8,11 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from dpmacro.boosting.loop import Round
-from dpmacro.discovery.candidates import Task, confidence
+from dpmacro.discovery.candidates import confidence
 from dpmacro.discovery.criteria import equally_good
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt
+from dpmacro.discovery.task import Task
 from dpmacro.estimator.result import DPBoostResult
 from dpmacro.estimator.settling import FinalFit, settle
 from dpmacro.features.levels import SortedLevels

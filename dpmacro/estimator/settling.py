@@ -17,7 +17,7 @@ from dpmacro.boosting.learners.base import StrongClassifier, WeakLearner
 from dpmacro.boosting.loop import Boosting, Round
 from dpmacro.boosting.stopping import validated_rounds
 from dpmacro.discovery.alternation import alternate
-from dpmacro.discovery.candidates import Task
+from dpmacro.discovery.task import Task
 from dpmacro.estimator.hindsight import CHUNK, SwitchTerms, action_costs, switch_terms_costs
 from dpmacro.segmentation.recursion import segment
 from dpmacro.segmentation.segments import macro_segments

@@ -7,13 +7,7 @@ import torch
 from visible import task_of, visible_change
 
 from dpmacro.discovery.alternation import Alternated
-from dpmacro.discovery.candidates import (
-    FINALISTS,
-    LEADERS,
-    action_charges,
-    confidence,
-    score_candidates,
-)
+from dpmacro.discovery.candidates import FINALISTS, LEADERS, action_charges, confidence, score_candidates
 from dpmacro.discovery.criteria import best_candidate, standard_error
 from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.search import adopt

@@ -6,10 +6,11 @@ from visible import functions_of
 
 from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.discovery.alternation import Alternated
-from dpmacro.discovery.candidates import Candidate, Task
+from dpmacro.discovery.candidates import Candidate
 from dpmacro.discovery.criteria import standard_error
 from dpmacro.discovery.model_order import Choice, Point, choose, points, searches
 from dpmacro.discovery.result import Discovery
+from dpmacro.discovery.task import Task
 from tests.discovery.test_criteria import PAIRED, STEP, losses, scored
 
 LENGTHS = torch.tensor([6, 4])

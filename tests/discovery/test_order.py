@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from dpmacro.boosting.losses.vectors import HuberLoss
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.order import ALLOWANCE, Order, order_of
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 
 

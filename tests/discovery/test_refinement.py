@@ -10,7 +10,7 @@ from visible import functions_of, task_of, visible_change
 
 from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.discovery import refinement
-from dpmacro.discovery.candidates import Candidate, Task, action_charges, score_candidates
+from dpmacro.discovery.candidates import Candidate, action_charges, score_candidates
 from dpmacro.discovery.criteria import CandidateScores, best_candidate
 from dpmacro.discovery.refinement import (
     COST_LIMIT,
@@ -22,6 +22,7 @@ from dpmacro.discovery.refinement import (
     resegmented,
     simplified,
 )
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 from dpmacro.segmentation.segments import macro_segments, transition_counts

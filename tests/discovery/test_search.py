@@ -8,11 +8,12 @@ from visible import task_of, visible_change
 
 from dpmacro.boosting.losses.vectors import HuberLoss
 from dpmacro.discovery import candidates, search
-from dpmacro.discovery.candidates import Task, score_candidates
+from dpmacro.discovery.candidates import score_candidates
 from dpmacro.discovery.criteria import best_candidate
 from dpmacro.discovery.search import adopt, discover
 from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import initial_segmentations, random_cuts
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.metrics.frames import named_after_truth
 from dpmacro.segmentation.given import FREE

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from dpmacro.boosting.losses.vectors import HuberLoss
 from dpmacro.discovery import race
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.race import boosted, boosted_in_turn, raced
 from dpmacro.discovery.settings import SearchSettings
 from dpmacro.discovery.starts import (
@@ -24,6 +23,7 @@ from dpmacro.discovery.starts.clusters import merged_pieces, spectral_windows, w
 from dpmacro.discovery.starts.events import cut_at, jump_places, shift_places, slow_places
 from dpmacro.discovery.starts.evidence import best_places, k_means, principal, window_means
 from dpmacro.discovery.starts.goals import goals
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.metrics.frames import frame_accuracy, named_after_truth

@@ -7,8 +7,8 @@ import torch
 
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.losses.vectors import HuberLoss
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.search import adopt
+from dpmacro.discovery.task import Task
 from dpmacro.estimator import final
 from dpmacro.estimator.settling import FinalFit
 from dpmacro.features.levels import SortedLevels

@@ -83,7 +83,7 @@ def test_labels_are_those_that_the_fitted_functions_want(seed, weight):
 
 
 def test_what_does_not_settle_is_said_and_the_labels_are_still_those_of_the_functions():
-    data, task, labels = restless()
+    data, task, labels = restless(4)
     found = settle(fit_of(data), task, labels)
     assert found.unsettled > 0
     assert torch.equal(wanted(data, task, found), found.labels)

@@ -4,7 +4,7 @@ import torch
 
 from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.boosting.losses.classes import ExponentialLoss
-from dpmacro.discovery.candidates import Task
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.switching.functions import SwitchFunctions
 

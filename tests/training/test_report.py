@@ -10,6 +10,7 @@ import torch
 import train
 from dpmacro.data.synthetic import two_rules
 from dpmacro.estimator.dpboost import DPBoost
+from dpmacro.parallel import ALONE
 from dpmacro.training.run_folder import RunFolder
 
 WARNING = "warning      no segmentation was found whose changes can be recognised as they come."
@@ -61,7 +62,13 @@ def test_the_whole_report_has_those_lines(hidden):
     plan = SimpleNamespace(columns=6, of=6, drawn=0, gibibytes=0.7)
     policy = SimpleNamespace(config=SimpleNamespace(macros=2))
     unsettled = replace(hidden, unsettled=3)
-    parts = {"plan": plan, "policy": policy, "pretrained": Path("run/pretrained_model"), "choice": None}
+    parts = {
+        "ranks": ALONE,
+        "plan": plan,
+        "policy": policy,
+        "pretrained": Path("run/pretrained_model"),
+        "choice": None,
+    }
     result = SimpleNamespace(found=unsettled, notes=("one thing", "another"), **parts)
     data, more, *lines = train.report(result, RunFolder(Path("nowhere")), 1.0).splitlines()
     assert [data, more] == ["data         one thing", "             another"]

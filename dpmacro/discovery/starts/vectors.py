@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from dpmacro.discovery.candidates import Task
 from dpmacro.discovery.starts.chains import chained
 from dpmacro.discovery.starts.clusters import merged_pieces, spectral_windows, window_clusters
 from dpmacro.discovery.starts.cuts import feature_peaks, random_cuts, uniform_cuts
@@ -14,6 +13,7 @@ from dpmacro.discovery.starts.events import cut_at, jump_places, shift_places, s
 from dpmacro.discovery.starts.evidence import Evidence, principal
 from dpmacro.discovery.starts.goals import by_goals
 from dpmacro.discovery.starts.linear import Moments
+from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 
 __all__ = ["KINDS", "evidence_of", "vector_starts"]
