@@ -146,7 +146,7 @@ def measured(options: RanksOptions, layout: str) -> dict[str, Any]:
     return dict(json.loads(lines[-1]))
 
 
-def modelled(options: RanksOptions, one: dict[str, Any], ranks: int, threads: int, cores: int) -> float:
+def modelled(one: dict[str, Any], ranks: int, threads: int, cores: int) -> float:
     """Seconds of a round by the cost of one rank with one thread.
 
     Ranks divide the search; the rest all do alike. On fewer cores than processes they take turns.
@@ -166,7 +166,8 @@ def main(options: RanksOptions) -> None:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     one, lines = found.get("1x1"), []
     for layout, own in found.items():
-        model = "" if one is None else f"{modelled(options, one, *map(int, layout.split('x')), cores):.3f}"
+        ranks, threads = (int(part) for part in layout.split("x"))
+        model = "" if one is None else f"{modelled(one, ranks, threads, cores):.3f}"
         rest = own["seconds"] - own["search"]
         times = [f"{own[name]:.3f}" for name in ("seconds", "search")]
         tail = [f"{own['bytes'] / 1000:.0f}", f"{own['gib']:.2f}", own["policy"]]
@@ -176,7 +177,7 @@ def main(options: RanksOptions) -> None:
         frames, machines = FAR
         scale = frames / options.frames
         told = scale * max(own["bytes"] for own in found.values())
-        work_ = modelled(options, one, machines, 1, machines) * scale
+        work_ = modelled(one, machines, 1, machines) * scale
         held = scale * options.columns * options.frames * 5 / machines / GIB
         print(
             f"model: {frames:,} frames x {options.columns:,} columns on {machines} machines, a thread each: "
