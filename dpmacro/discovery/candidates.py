@@ -7,7 +7,7 @@ strong classifiers are charged for the actions under those labels. What is left 
 these quick fits; a candidate's labels themselves came from all of them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -92,7 +92,7 @@ def score_candidates(
     else:
         order = _recognised(data, task, candidates, on_round)
         fitted = fit(candidates[order])
-    switches = _switches(data, task, candidates[order], SWITCH_COLUMNS)
+    switches = list(_switches(data, task, candidates[order], SWITCH_COLUMNS))
     scale = task.loss.scale(fitted.alone, task.actions.cpu())
     return [
         Candidate(candidates[k], _scores(task, candidates[k], found, fitted, place, scale), own, scale, found)
@@ -168,20 +168,11 @@ def _recognised(
     if len(candidates) <= FINALISTS + LEADERS:
         return list(range(len(candidates)))
     shares: list[float] = []
-    for some in _lots(task, candidates, SCREENING_FOLDS):
-        for found in _switches(data, task, some, SCREENING_COLUMNS, SCREENING_FOLDS):
-            shares.append(found.mean_recognised)
-            on_round(Round("recognise", len(shares), len(candidates), 1 - shares[-1], shares[-1], None))
+    for found in _switches(data, task, candidates, SCREENING_COLUMNS, SCREENING_FOLDS):
+        shares.append(found.mean_recognised)
+        on_round(Round("recognise", len(shares), len(candidates), 1 - shares[-1], shares[-1], None))
     recognised = sorted(range(len(candidates)), key=lambda k: -shares[k])
     return list(dict.fromkeys([*recognised[:FINALISTS], *range(LEADERS)]))
-
-
-def _lots(
-    task: Task, candidates: Int64[Tensor, "candidates frames"], folds: int
-) -> tuple[Int64[Tensor, "lot frames"], ...]:
-    """Candidates in so many at a time as switch functions of `PROBLEMS` folds and changes are for."""
-    most = task.macros * (task.macros - 1) + task.macros  # changes and starts of one
-    return candidates.split(max(PROBLEMS // ((folds + 1) * most), 1))
 
 
 def _switches(
@@ -190,18 +181,18 @@ def _switches(
     candidates: Int64[Tensor, "candidates frames"],
     columns: int,
     folds: int = SWITCH_FOLDS,
-) -> list[SwitchFunctions]:
+) -> Iterator[SwitchFunctions]:
     """Quick switch functions of candidates, `columns` random columns searched a round, without cues.
 
     On a demonstration a switch function that missed its change gets another chance from the frames that the
     demonstrator's next actions bring about. With cues a single miss would decide a whole trajectory.
     """
-    learner, found = StumpLearner(data, drawn=columns), list[SwitchFunctions]()
+    learner = StumpLearner(data, drawn=columns)
     settings = SwitchSettings(rounds=SWITCH_ROUNDS, folds=folds, tolerance=task.tolerance)
-    for some in _lots(task, candidates, folds):
+    most = task.macros * (task.macros - 1) + task.macros  # changes and starts of one candidate
+    for some in candidates.split(max(PROBLEMS // ((folds + 1) * most), 1)):
         generator = torch.Generator().manual_seed(task.seed)
-        found += fit_switches_of_all(learner, some, task.lengths, generator, settings, groups=task.groups)
-    return found
+        yield from fit_switches_of_all(learner, some, task.lengths, generator, settings, groups=task.groups)
 
 
 def _scores(
