@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from dpmacro.data.demonstrations import Demonstrations
 
@@ -17,6 +18,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 from metaworld_peers import PEERS, Peer  # noqa: E402
 from metaworld_report import main_table, seeds_table, tables, write_report  # noqa: E402
 from metaworld_run import RESULT, RunOptions, world_of  # noqa: E402
+from metaworld_timelines import SEGMENTATION, TimelinesOptions, drawn, found_in, main  # noqa: E402
 from table_metaworld import TableOptions, bound, write_stages  # noqa: E402
 from table_rows import stored  # noqa: E402
 
@@ -82,6 +84,28 @@ def test_true_stages_become_labels_with_a_bound(tmp_path, monkeypatch):
         ("1", "3", "4", "come"),
     ]
     assert bound(tmp_path / "stages.csv") == ("--planner.max_transitions=3",)
+
+
+def test_timelines_say_how_well_macro_actions_agree_with_stages(tmp_path, monkeypatch, capsys):
+    truth = np.repeat([0, 1, 2, 0, 1], [20, 20, 20, 30, 30])
+    some = demonstrations(np.zeros((120, 2)), np.zeros((120, 2)), truth, [60, 60])
+    monkeypatch.setattr(Demonstrations, "load", lambda root: some)
+    options = TimelinesOptions(table=tmp_path, tasks=["hammer-v3"], output=tmp_path / "lines.png")
+    with pytest.raises(ValueError, match="is not there: make it by"):
+        found_in("hammer-v3", options)
+    (tmp_path / "data/hammer-v3_0").mkdir(parents=True)
+    file = tmp_path / "train/hammer-v3_dpmacro_0" / SEGMENTATION
+    file.parent.mkdir(parents=True)
+    save_file({"labels": np.repeat([2, 0, 2, 0], [20, 40, 30, 30])}, file)
+    found = found_in("hammer-v3", options)
+    assert found.labels.tolist() == [0] * 20 + [1] * 40, "by the names of the stages that they agree with"
+    assert (found.macros, found.stages) == (2, 3)
+    assert found.scores.accuracy == pytest.approx(100 / 120)
+    [strip] = [axis for axis in drawn([found]).axes if axis.get_ylabel() == "hammer"]
+    assert {text.get_text() for text in strip.texts} >= {"0", "1", "60 frames\n83% agree\nF1@50 0.89"}
+    main(options)
+    assert "| hammer | 2 | 3 | 0.83 | 0.89 | 0.80 |" in capsys.readouterr().out
+    assert (tmp_path / "lines.png").stat().st_size > 1000
 
 
 def row(task, name, seed, successes, runs=10, **more):
