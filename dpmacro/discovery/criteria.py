@@ -110,9 +110,9 @@ def best_candidate(candidates: Sequence[CandidateScores], explaining: bool = Fal
     best, of those the one of least causal loss. Where none can be run, the one of least loss in hindsight.
 
     `explaining` asks first how well labels explain left-out actions, by the loss in hindsight: only
-    candidates that do equally well by it come into question. (Where actions are vectors any two halves of a
-    task differ a little, and the change between them that is seen best need not be one of those that explain
-    most.)
+    candidates that do equally well by it come into question, unless others can be run and none of these.
+    (Where actions are vectors any two halves of a task differ a little, and the change between them that is
+    seen best need not be one of those that explain most.)
 
     Where labels were given, their loss is asked before all else. Every candidate has those labels; what tells
     candidates apart is whether classifiers that learned from the other trajectories agree with them.
@@ -121,9 +121,10 @@ def best_candidate(candidates: Sequence[CandidateScores], explaining: bool = Fal
     given = [one.given for one in candidates if one.given is not None]
     if given:
         places = equally_good(given)
+    runnable = [place for place in places if candidates[place].runnable]
     if explaining:
         places = [places[k] for k in equally_good([candidates[place].hindsight for place in places])]
-    runnable = [place for place in places if candidates[place].runnable]
+        runnable = [place for place in places if place in runnable] or runnable
     if not runnable:
         return min(places, key=lambda place: float(candidates[place].hindsight.sum()))
     close = [runnable[k] for k in equally_good([candidates[place].causal for place in runnable])]

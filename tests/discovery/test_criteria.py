@@ -158,5 +158,7 @@ def test_what_explains_most_comes_before_what_can_be_run_where_that_is_asked_for
     explains = scored(recognised=0.1, hindsight=0.2, context=0.9)
     as_well = scored(recognised=0.7, hindsight=losses(0.2 + 0.5 * STEP, STEP))
     assert best_candidate([runs, explains]) == 0
-    assert best_candidate([runs, explains], explaining=True) == 1
     assert best_candidate([runs, explains, as_well], explaining=True) == 2, "of equals, what can be run"
+    assert best_candidate([runs, explains], explaining=True) == 0, "of equals none can be run, another can"
+    never = scored(recognised=0.2, hindsight=0.4)
+    assert best_candidate([never, explains], explaining=True) == 1, "nothing can be run"
