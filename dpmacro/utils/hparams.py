@@ -1,7 +1,7 @@
 """TensorBoard's HParams dashboard: a row for every training and evaluation, its options beside its scores.
 
 The dashboard sorts options by their names, capitals first, and shows the first five unless more are ticked.
-So those that trainings differ in most stand there once more, with a capital.
+So those that trainings differ in most stand there once more, with a capital, "default" where none was given.
 """
 
 import json
@@ -40,7 +40,7 @@ def write_row(folder: Path, options: Mapping[str, Any], scores: Mapping[str, flo
         scores: by name.
     """
     row = flat(options)
-    first = {title: str(row[name]) for title, name in FIRST.items() if name in row}
+    first = {title: str(row[name]) or "default" for title, name in FIRST.items() if name in row}
     tags = {f"score/{name}": score for name, score in scores.items()}
     with SummaryWriter(str(folder)) as writer:
         writer.add_hparams(first | row, tags, run_name=".")

@@ -43,7 +43,7 @@ def test_options_are_flat():
 def test_a_reader_finds_options_and_scores_in_one_row(tmp_path):
     write_row(tmp_path, OPTIONS, {"success": 0.25})
     options, scores = row(tmp_path)
-    assert options == flat(OPTIONS) | {"Inputs": '["x", "y"]', "Q": "", "Seed": "3"}
+    assert options == flat(OPTIONS) | {"Inputs": '["x", "y"]', "Q": "default", "Seed": "3"}
     assert scores == {"score/success": pytest.approx(0.25)}
 
 
