@@ -46,6 +46,7 @@ from dpmacro.training.resuming import check_unchanged, kept_stages, path_of
 from dpmacro.training.run_folder import RunFolder, plain_options
 from dpmacro.training.trainer import Trainer, TrainingResult
 from dpmacro.utils import cli
+from dpmacro.utils.events import doing_without
 from dpmacro.utils.files import telling_what_is_safe
 from dpmacro.utils.hparams import write_row, write_scores
 
@@ -105,7 +106,8 @@ def train(options: TrainOptions, folder: RunFolder, ranks: Ranks) -> None:
         print(truth_report(own_labels(result, demonstrations), demonstrations))
     found = scores(result, demonstrations) | {"seconds": seconds}
     write_scores(result.pretrained.parent, found)
-    write_row(folder.tensorboard, plain_options(options) | {"world": demonstrations.world}, found)
+    with doing_without(folder.tensorboard):
+        write_row(folder.tensorboard, plain_options(options) | {"world": demonstrations.world}, found)
     folder.end()
 
 

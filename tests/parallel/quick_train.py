@@ -21,7 +21,11 @@ computed = Stages.run
 
 
 def dying(self, name, compute):
-    if self._number == DIES_AT - 1 and self.rounds is None and os.environ.get("DIES") == os.environ["RANK"]:
+    if (
+        self._number == DIES_AT - 1
+        and self.rounds is None
+        and os.environ.get("DIES", "") == os.environ.get("RANK")
+    ):
         os.kill(os.getpid(), signal.SIGKILL)
     return computed(self, name, compute)
 
