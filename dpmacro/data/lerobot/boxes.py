@@ -70,10 +70,9 @@ def _boxes(file: BinaryIO, path: Path, start: int, end: int, depth: int) -> Iter
         if start + size > end and not (depth == 0 and name in CUT):
             if depth == 0 and name not in HOLDERS:
                 return  # no MP4, or nothing that is read
-            raise DatasetError(
-                f"{path}: its part {name.decode('latin-1')!r} is larger than what holds it; record the "
-                "dataset again"
-            )
+            wrong = "its part {!r} is larger than what holds it" if depth else "ends within its part {!r}"
+            wrong = wrong.format(name.decode("latin-1"))
+            raise DatasetError(f"{path}: {wrong}; record the dataset again")
         yield name, first, min(start + size, end)
         if name in HOLDERS and depth < DEEPEST:
             yield from _boxes(file, path, first, start + size, depth + 1)

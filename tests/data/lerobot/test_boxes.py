@@ -66,7 +66,7 @@ def test_a_sound_film_is_read(content, tmp_path):
         (b"elst", 4, HUGE, "its table elst says that it has 2147483647 rows"),
         (b"stsd", -8, HUGE, "its part 'stsd' is larger than what holds it"),
         (b"trak", -8, HUGE, "its part 'trak' is larger than what holds it"),
-        (b"moov", -8, HUGE, "its part 'moov' is larger than what holds it"),
+        (b"moov", -8, HUGE, "ends within its part 'moov'"),
     ],
 )
 def test_tables_that_say_too_much(content, tmp_path, name, offset, value, message):
