@@ -86,8 +86,8 @@ def test_a_rank_that_is_stopped_ends_all(options, tmp_path):
         process.communicate(timeout=100)
     assert process.returncode != 0
     assert told == (
-        "error: rank 0 of 2 ends since rank 1 has not been heard of for 4 s: it is stopped, or its machine is; "
-        "train.py goes on by --resume=true\n"
+        "error: rank 0 of 2 ends since rank 1 has not been heard of for 4 s: it is stopped, or its machine "
+        "is; train.py goes on by --resume=true\n"
     )
     assert list((run / "checkpoints/000000/training_state/stages").glob("*.pt"))
 
