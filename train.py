@@ -45,7 +45,8 @@ from dpmacro.training.options import TrainOptions
 from dpmacro.training.resuming import check_unchanged, kept_stages, path_of
 from dpmacro.training.run_folder import RunFolder, plain_options
 from dpmacro.training.trainer import Trainer, TrainingResult
-from dpmacro.utils import cli
+from dpmacro.utils import cli, temporary
+from dpmacro.utils.events import doing_without
 from dpmacro.utils.files import telling_what_is_safe
 from dpmacro.utils.hparams import write_row, write_scores
 
@@ -56,7 +57,7 @@ TOLERANCE = 10  # frames by which a found change point may miss a true one
 
 
 def main(options: TrainOptions) -> None:
-    with joined(options.device) as ranks:
+    with joined(options.device, temporary.remove_all) as ranks:
         if ranks.size > 1:
             check_divisible(options)
         if ranks.leads:
@@ -105,7 +106,8 @@ def train(options: TrainOptions, folder: RunFolder, ranks: Ranks) -> None:
         print(truth_report(own_labels(result, demonstrations), demonstrations))
     found = scores(result, demonstrations) | {"seconds": seconds}
     write_scores(result.pretrained.parent, found)
-    write_row(folder.tensorboard, plain_options(options) | {"world": demonstrations.world}, found)
+    with doing_without(folder.tensorboard):
+        write_row(folder.tensorboard, plain_options(options) | {"world": demonstrations.world}, found)
     folder.end()
 
 

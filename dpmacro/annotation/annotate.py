@@ -14,6 +14,7 @@ from dpmacro.features.history import Recording
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.segmentation.marginals import margins
 from dpmacro.segmentation.recursion import segment
+from dpmacro.utils.checks import as_kind
 
 __all__ = ["Annotation", "annotate"]
 
@@ -48,7 +49,8 @@ def annotate(
     Raises ValueError where inputs or actions are not those of the policy. Actions without names are its first
     ones.
     """
-    config = policy.config
+    config = as_kind("policy", policy, MacroPolicy).config
+    as_kind("demonstrations", demonstrations, Demonstrations)
     _check(policy, demonstrations)
     if max_transitions is None:
         max_transitions = config.macros - 1 if config.max_transitions is None else config.max_transitions

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Int64, UInt8
-from torch.utils.tensorboard import SummaryWriter
 
 from dpmacro import figures
 from dpmacro.annotation import html
@@ -21,6 +20,7 @@ from dpmacro.annotation.stages import Stages
 from dpmacro.annotation.summary import SCORES, Summary
 from dpmacro.features.base import input_name
 from dpmacro.policy.config import InputConfig
+from dpmacro.utils.events import Events
 from dpmacro.utils.files import replacing
 
 __all__ = ["NUMBERS", "PAGE", "SHOWN", "score_text", "shown_beside", "stages_of", "write_report"]
@@ -55,7 +55,7 @@ def write_report(
         corrections: what a person corrected of the stages earlier, see `Shown`.
     """
     report: list[tuple[str, str]] = []
-    with SummaryWriter(str(folder / "tensorboard")) as writer:
+    with Events(folder / "tensorboard") as writer:
         for method, scores in summary.scores.items():
             group = "segmentation" if method == "policy" else f"segmentation/{method.replace(' ', '_')}"
             for name, value in scores.items():

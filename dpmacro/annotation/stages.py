@@ -6,9 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from dpmacro.metrics import segments
-from dpmacro.utils.checks import shown
+from dpmacro.utils.checks import as_count, as_kind, as_number, shown
 
 __all__ = ["Stages"]
+
+KINDS = {"labels": "iu", "confidence": "f", "idle": "b", "corrected": "b", "lengths": "iu", "timestamps": "f"}
+WORDS = {"iu": "whole numbers", "f": "floating point numbers", "b": "true or false"}  # by numpy's kinds
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,15 @@ class Stages:
     fps: float
 
     def __post_init__(self) -> None:
+        for name, kinds in KINDS.items():
+            values = as_kind(name, getattr(self, name), np.ndarray, "an array")
+            if values.dtype.kind not in kinds:
+                raise ValueError(f"{name} are of type {values.dtype}: give {WORDS[kinds]}")
+        for name in ("names", "episodes"):
+            as_kind(name, getattr(self, name), tuple | list, "a tuple")
+        for episode in self.episodes:
+            as_count("episodes", episode, 0)
+        as_number("fps", self.fps, above=0.0)
         self._check_names()
         self._check_demonstrations()
         self._check_frames()
@@ -93,8 +105,6 @@ class Stages:
                 f"episodes are {shown(self.episodes)}: give each of {len(self.lengths)} demonstrations a "
                 "number of its own"
             )
-        if not 0 < self.fps < np.inf:
-            raise ValueError(f"fps is {shown(self.fps)}: give the frames that a second has")
 
     def _check_frames(self) -> None:
         n_frames = int(self.lengths.sum())

@@ -1,5 +1,6 @@
 """Demonstrations: what was seen and which action was taken, frame after frame, read from LeRobot datasets."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from dpmacro.data.images import DatasetError, ImageTransform
 from dpmacro.data.lerobot.frames import TOLERANCE
 from dpmacro.data.loading import load_parts
 from dpmacro.parallel import ALONE, Ranks
+from dpmacro.utils.checks import as_count, as_entries, as_kind, as_number, as_path, as_text, shown
 
 __all__ = ["DatasetError", "Demonstrations"]
 
@@ -23,6 +25,8 @@ IMAGE = "observation.image"  # what LeRobot calls the images of an only camera
 @dataclass(frozen=True)
 class Demonstrations:
     """Trajectories, concatenated frame by frame; `lengths` says where each ends.
+
+    Raises ValueError where an attribute is no array of numbers for all frames.
 
     Attributes:
         observations: what the policy sees, keyed as in LeRobot: RGB images of cameras, uint8
@@ -61,6 +65,20 @@ class Demonstrations:
     tasks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     episodes: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        lengths = as_kind("lengths", self.lengths, np.ndarray, "an array of whole numbers")
+        if lengths.ndim != 1 or lengths.dtype.kind not in "iu" or not len(lengths) or lengths.min() < 1:
+            raise ValueError(f"lengths are {shown(lengths)}: give the frames of each, 1 or more")
+        framed = {"actions": self.actions, **as_kind("observations", self.observations, dict)}
+        framed |= {} if self.truth is None else {"truth": self.truth}
+        for name, values in framed.items():
+            as_kind(str(name), values, np.ndarray, "an array")
+            if not values.ndim or len(values) != int(lengths.sum()) or values.dtype.kind not in "biuf":
+                raise ValueError(
+                    f"{name} have shape {list(values.shape)} and type {values.dtype}: give numbers for each "
+                    f"of {int(lengths.sum())} frames, to which lengths add up"
+                )
 
     @classmethod
     def of_images(
@@ -103,8 +121,21 @@ class Demonstrations:
             ranks: who decode a share of the pictures each; all have all in the end.
 
         Raises DatasetError, one line that names the place, the value and a remedy, for anything it cannot
-        read as demonstrations of at least two frames each.
+        read as demonstrations of at least two frames each; ValueError for an argument of another kind.
         """
+        as_path("root", root)
+        as_kind("transform", transform, ImageTransform)
+        as_number("tolerance_s", tolerance_s, least=0.0)
+        if episodes is not None:
+            _numbers("episodes", episodes)
+        for name, value in (("inputs", inputs), ("action", action)):
+            if value is not None and not isinstance(value, str):
+                as_entries(name, value)
+        for name, text in (("camera", camera), ("truth", truth)):
+            if text is not None:
+                as_text(name, text)
+        if task is not None and (isinstance(task, bool) or not isinstance(task, str | int)):
+            raise DatasetError(f"task is {shown(task)}: give its words or its task_index")
         if camera is not None:
             if inputs is not None:
                 raise DatasetError(
@@ -152,7 +183,7 @@ class Demonstrations:
 
         Raises ValueError where there is none, or one that does not exist.
         """
-        chosen = [int(index) for index in trajectory_indices]
+        chosen = _numbers("trajectory_indices", trajectory_indices)
         wrong = [index for index in chosen if not 0 <= index < len(self.lengths)]
         if wrong or not chosen:
             raise ValueError(f"trajectories {wrong or chosen}: choose from 0..{len(self.lengths) - 1}")
@@ -172,6 +203,7 @@ class Demonstrations:
 
         Raises ValueError where observations or actions differ.
         """
+        as_kind("others", others, Demonstrations)
         ours, theirs = (
             {name: one.shape[1:] for name, one in of.observations.items()} for of in (self, others)
         )
@@ -208,3 +240,10 @@ class Demonstrations:
             truth_classes=max(self.truth_classes, others.truth_classes, key=len) if same_truth else (),
             episodes=(),
         )
+
+
+def _numbers(name: str, value: Any) -> list[int]:
+    """Whole numbers, in a list or a vector."""
+    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or np.ndim(value) != 1:
+        raise ValueError(f"{name} is {shown(value)}: give a list of whole numbers")
+    return [as_count(f"{name}[{place}]", one, -sys.maxsize) for place, one in enumerate(value)]

@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 
 from dpmacro.features.memory import GIB
 from dpmacro.parallel import Ranks
+from dpmacro.utils.checks import as_count, as_entries, as_number
 
 __all__ = ["DatasetError", "FrameBuffer", "ImageTransform", "natural_size", "refuse_too_many"]
 
@@ -52,6 +53,14 @@ class ImageTransform:
     size: tuple[int, int] | Mapping[str, tuple[int, int]] | None = None
     stored: tuple[int, int] | Mapping[str, tuple[int, int]] | None = None
     memory: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, given in (("size", self.size), ("stored", self.stored)):
+            for size in given.values() if isinstance(given, Mapping) else () if given is None else (given,):
+                for side in as_entries(name, size, 2):
+                    as_count(f"a side of {name}", side)
+        if self.memory is not None:
+            as_number("memory", self.memory, least=0.0)
 
     def of(self, camera: str) -> "ImageTransform":
         """What is done to the images of one camera."""

@@ -22,7 +22,9 @@ from dpmacro.segmentation.given import FREE
 from dpmacro.utils.checks import (
     ArrayLike,
     as_count,
+    as_device,
     as_flag,
+    as_kind,
     as_lengths,
     as_number,
     as_tensor,
@@ -35,6 +37,7 @@ __all__ = [
     "as_actions",
     "as_device",
     "as_features",
+    "as_known",
     "check_options",
     "standardised",
     "task_of",
@@ -89,6 +92,7 @@ def task_of(
         given: labels of some frames that the segmentation keeps to, -1 elsewhere; None for none.
     """
     check_options(options)
+    as_kind("data", data, SortedLevels)
     device, n_frames, macros = as_device(options["device"]), data.n_frames, int(options["macros"])
     if data.levels.device != device:
         raise ValueError(f"data is on {data.levels.device} and device is {device}: use one")
@@ -104,7 +108,7 @@ def task_of(
             f"macros is {macros} and order 'chain', but trajectory {int(lengths.argmin())} has "
             f"{int(lengths.min())} frames: ask for fewer macros, or leave it out"
         )
-    groups = torch.arange(len(lengths)) if groups is None else groups.cpu()
+    groups = torch.arange(len(lengths)) if groups is None else _as_groups(groups, len(lengths))
     bound = macros - 1 if options["max_transitions"] is None else int(options["max_transitions"])
     loss: Loss
     if actions.ndim == 1:
@@ -115,6 +119,23 @@ def task_of(
     seed, order = int(options["seed"]), options["order"]
     task = Task(actions.to(device), lengths, groups, loss, macros, bound, seed, order)
     return task if given is None else _keeping(task, given)
+
+
+def as_known(known: ArrayLike, task: Task) -> Int64[Tensor, " frames"]:
+    """Labels 0..Q-1 of all frames, that take the place of a search's."""
+    labels = as_whole_vector("known", known, "[frames], the label of each", least=0, most=task.macros - 1)
+    if len(labels) != len(task.actions):
+        raise ValueError(
+            f"known are {len(labels)} but there are {len(task.actions)} frames: give one for each"
+        )
+    return labels.to(task.actions.device)
+
+
+def _as_groups(groups: ArrayLike, count: int) -> Int64[Tensor, " trajectories"]:
+    found = as_whole_vector("groups", groups, "[trajectories], the number of each one's group", least=0).cpu()
+    if len(found) != count:
+        raise ValueError(f"groups are {len(found)} but there are {count} trajectories: give one for each")
+    return found
 
 
 def _keeping(task: Task, given: ArrayLike) -> Task:
@@ -135,21 +156,6 @@ def _keeping(task: Task, given: ArrayLike) -> Task:
     except ValueError as error:
         raise ValueError(f"given, {error}") from error
     return task
-
-
-def as_device(device: Any) -> torch.device:
-    """The device that tensors can be put on; "cuda" becomes the card that it means.
-
-    Raises ValueError for one that does not exist here, or holds no values.
-    """
-    if not isinstance(device, str | torch.device):
-        raise ValueError(f"device is {shown(device)}: give its name, 'cpu' or 'cuda:0' say")
-    try:
-        probe = torch.zeros(1, device=device)
-        probe.item()
-    except (RuntimeError, AssertionError, TypeError, ValueError) as error:
-        raise ValueError(f"device is {shown(str(device))}, which cannot be used here: give 'cpu'") from error
-    return probe.device
 
 
 def as_features(features: ArrayLike, device: torch.device) -> Num[Tensor, "columns frames"]:

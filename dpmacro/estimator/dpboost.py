@@ -26,6 +26,7 @@ from dpmacro.estimator.arguments import (
     as_actions,
     as_device,
     as_features,
+    as_known,
     check_options,
     standardised,
     task_of,
@@ -230,7 +231,7 @@ class DPBoost:
         if task.macros == 1 or task.max_transitions == 0:
             return None
         if known is not None:
-            return adopt(data, task, known, on_round)
+            return adopt(data, task, as_known(known, task), on_round)
         options = self.get_params()
         settings, shrinkage = search_of(options), shrinkage_of(options)
         return discover(data, task, settings, int(self.restarts), shrinkage, on_round)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
 from dpmacro.utils.processes import spread, stopped
-from dpmacro.worlds import expert_of, recording_of
+from dpmacro.worlds import expert_of, recording_of, stepping
 from dpmacro.worlds.actions import ActionMap
 from dpmacro.worlds.base import GaveUp, Recording, WorldError
 from dpmacro.worlds.making import blamed, import_package, make_world
@@ -144,9 +144,9 @@ class _Set:
         """The run of a seed; None where it fails."""
         rng = np.random.default_rng(seed)
         when = f"at the start of the run of seed {seed}"
-        with blamed(self.world, when):
-            observation, info = self.env.reset(seed=seed)
-        self.expert.reset(self.env)
+        observation, info = stepping.begin(self.env, self.world, seed, when)
+        with blamed(self.world, when, stepping.EXPERT):
+            self.expert.reset(self.env)
         task = str(getattr(self.expert, "task", self.told.task))
         frames: list[tuple[Any, ...]] = []
         views: list[np.ndarray] = []
@@ -156,20 +156,19 @@ class _Set:
                 return None
             seen = self.sees.of(observation, when)
             if self.view:
-                views.append(np.asarray(self.env.render()))
+                views.append(stepping.render(self.env, self.world, when))
             try:
-                action = self.expert.act(observation, info)
+                action = stepping.act(self.expert, self.world, observation, info, when)
             except GaveUp:
                 return None
             labels = true_labels(self.told, self.expert, info)
             when = f"at step {len(frames)} of the run of seed {seed}"
             done, _ = self.does.of(self._disturbed(action, rng), when)
-            with blamed(self.world, when):
-                observation, reward, terminated, truncated, info = self.env.step(done)
-            frames.append((seen, action, labels, float(reward)))
-            ended = bool(terminated or truncated)
+            observation, reward, terminated, truncated, info = stepping.take(self.env, self.world, done, when)
+            frames.append((seen, action, labels, reward))
+            ended = terminated or truncated
         shown, actions, truth, rewards = zip(*frames, strict=True)
-        if not self.rule.judge(info, rewards[-1], sum(rewards), bool(terminated))[0]:
+        if not self.rule.judge(info, rewards[-1], sum(rewards), terminated)[0]:
             return None
         return run_of(shown, actions, truth, rewards, task, views)
 

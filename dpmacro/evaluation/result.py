@@ -7,11 +7,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from dpmacro.evaluation.stage import DIAGNOSIS
 from dpmacro.evaluation.summary import eval_info, run_notes, run_text
 from dpmacro.metrics.success import SuccessSummary, success_summary
 from dpmacro.utils.files import replacing
 from dpmacro.worlds import diagnosis_of
 from dpmacro.worlds.base import Episode
+from dpmacro.worlds.making import blamed
 
 __all__ = ["Result"]
 
@@ -36,7 +38,8 @@ class Result:
     @cached_property
     def causes(self) -> list[str]:
         """Why each failed."""
-        return diagnosis_of(self.world).causes(self.episodes)
+        with blamed(self.world, "after the runs", DIAGNOSIS):
+            return diagnosis_of(self.world).causes(self.episodes)
 
     def text(self) -> str:
         """For people."""
@@ -47,7 +50,8 @@ class Result:
 
     def info(self, ran: dict[str, Any], videos: Sequence[str] = ()) -> dict[str, Any]:
         """What the file holds, `ran` in our section."""
-        events = diagnosis_of(self.world).events(self.episodes)
+        with blamed(self.world, "after the runs", DIAGNOSIS):
+            events = diagnosis_of(self.world).events(self.episodes)
         about = self.summary, self.causes, events, self.seconds
         info = eval_info(self.world, self.episodes, *about, videos)
         info["dpmacro"] |= ran

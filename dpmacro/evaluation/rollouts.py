@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from dpmacro.evaluation.stage import Stage
+from dpmacro.utils.checks import as_count, as_kind, as_text
 from dpmacro.utils.processes import spread, stopped
 from dpmacro.worlds import expert_of
 from dpmacro.worlds.base import Episode, Moment, Planner, WorldError
@@ -96,8 +97,11 @@ def iter_episodes(
             WorldError where the world itself raises, or shows what it should not; episodes before it have
             been given out.
     """
-    if workers < 1:
-        raise ValueError(f"workers is {workers}, it must be at least 1")
+    as_count("workers", workers)
+    as_kind("world", world, Mapping, 'its id and options, like {"id": "TwoFlags-v0"}')
+    as_text("world['id']", world.get("id"))
+    for seed in as_kind("seeds", seeds, Sequence, "a list of whole numbers"):
+        as_count("seeds", seed, 0)
     if workers == 1:
         return _run_here(source, world, seeds)
     return _run_in_processes(source, world, seeds, workers)

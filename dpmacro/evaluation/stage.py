@@ -1,20 +1,25 @@
 """A world and a planner in it: what fits and what does not, and one run step by step."""
 
+import warnings
 from collections.abc import Generator, Mapping
+from contextlib import nullcontext
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from dpmacro.evaluation.loops import VisitedStates
 from dpmacro.evaluation.motion import Motion
-from dpmacro.worlds import DIAGNOSES, diagnosis_of, entry_of
+from dpmacro.worlds import DIAGNOSES, diagnosis_of, entry_of, stepping
 from dpmacro.worlds.actions import ActionMap
-from dpmacro.worlds.base import NO_MACRO, NO_PHASE, Moment, Planner
+from dpmacro.worlds.base import NO_MACRO, NO_PHASE, GaveUp, Moment, Planner, WorldError
 from dpmacro.worlds.making import blamed, make_world
 from dpmacro.worlds.observations import ObservationMap
 from dpmacro.worlds.success import SuccessRule
 
-__all__ = ["Stage", "config_of", "inputs_of"]
+__all__ = ["DIAGNOSIS", "Stage", "config_of", "inputs_of"]
+
+DIAGNOSIS = "the diagnosis of the world"  # what is blamed where that raises
 
 
 class Stage:
@@ -47,9 +52,17 @@ class Stage:
         if config is not None:
             names = len(config.action_names)
             classes, dims = (None, names) if config.vector else (names, None)
-        self.does = ActionMap.fit(self.world, self.env.action_space, classes, dims)
+        with blamed(self.world, "asked for its spaces"):
+            takes, shows = self.env.action_space, self.env.observation_space
+        for name, space in (("action_space", takes), ("observation_space", shows)):
+            if not isinstance(space, gym.Space):
+                raise WorldError(
+                    f"the world {self.world} has a {type(space).__name__} as {name}, and no space of "
+                    "gymnasium: correct the world"
+                )
+        self.does = ActionMap.fit(self.world, takes, classes, dims)
         if config is not None:
-            place = self.world, self.env.observation_space
+            place = self.world, shows
             self.sees = ObservationMap.fit(*place, inputs_of(config), world.get("observations"))
         self._diagnosis = diagnosis_of(self.world)
         # What an info says beside success means what is thought only where someone has told about the world.
@@ -60,7 +73,10 @@ class Stage:
 
     def close(self) -> None:
         """Let go of the world."""
-        self.env.close()
+        try:
+            stepping.close(self.env, self.world)
+        except WorldError as error:  # the runs are done
+            warnings.warn(f"{error}; no run depends on it", stacklevel=1)
 
     def moments(self, seed: int, every: int = 1) -> Generator[Moment]:
         """The steps of the run of this seed; where the world renders, every `every`-th has a view.
@@ -68,46 +84,59 @@ class Stage:
         Raises WorldError where the world raises anything, or shows or is given what it should not.
         """
         when = f"at the start of the run of seed {seed}"
-        with blamed(self.world, when):
-            observation, info = self.env.reset(seed=seed)
+        observation, info = stepping.begin(self.env, self.world, seed, when)
         shown = self.shown(observation, when)
-        self.planner.reset(self.env)
-        step, ended, visited, total = 0, False, VisitedStates(), 0.0
+        with nullcontext() if self.sees else blamed(self.world, when, stepping.EXPERT):
+            self.planner.reset(self.env)
+        step, visited, total = 0, VisitedStates(), 0.0
         # A world that someone has told about tells itself what happens at the end.
         motion = None if self._known else Motion()
         if self._known:
             visited.visit(info, self.planner)
-        while not ended:
+        chosen = self._chosen(shown, info, when)
+        if chosen is None:
+            raise WorldError(f"the expert of the world {self.world} knows no action {when}: give other seeds")
+        while chosen is not None:
             when = f"at step {step} of the run of seed {seed}"
             view = None
             if self.env.render_mode is not None and step % every == 0:
-                with blamed(self.world, when):
-                    view = np.asarray(self.env.render())
+                view = stepping.render(self.env, self.world, when)
             phase = int(info.get("phase", NO_PHASE)) if self._known else NO_PHASE
             position = info.get("position") if self._known else None
-            chosen = self.planner.act(shown, info)
             macro = int(getattr(self.planner, "macro", NO_MACRO))
             action, clipped = self.does.of(chosen, when)
-            with blamed(self.world, when):
-                observation, reward, terminated, truncated, info = self.env.step(action)
+            observation, reward, terminated, truncated, info = stepping.take(
+                self.env, self.world, action, when
+            )
             shown = self.shown(observation, when)
             if motion is not None:
                 motion.see(_arrays(shown))
             loop = visited.visit(info, self.planner) if self._known and not terminated else 0
-            ended = bool(terminated or truncated or loop)
-            step, total = step + 1, total + float(reward)
+            ended = terminated or truncated or loop
+            step, total = step + 1, total + reward
             success, outcome = self.rule.shown(info), ""
-            if ended:
-                success, self.success_by = self.rule.judge(info, float(reward), total, bool(terminated))
-                end = {**info, "is_success": success, "terminated": bool(terminated)}
-                outcome = self._diagnosis.outcome(end)
+            chosen = None if ended else self._chosen(shown, info, f"at step {step} of the run of seed {seed}")
+            if chosen is None:
+                success, self.success_by = self.rule.judge(info, reward, total, terminated)
+                end = {**info, "is_success": success, "terminated": terminated}
+                with blamed(self.world, when, DIAGNOSIS):
+                    outcome = self._diagnosis.outcome(end)
                 self.period = 0 if motion is None else motion.period()
             done = action - self.does.start if np.ndim(action) == 0 else action
-            yield Moment(phase, done, macro, float(reward), outcome, view, position, loop, clipped, success)
+            yield Moment(phase, done, macro, reward, outcome, view, position, loop, clipped, success)
 
     def shown(self, observation: Any, when: str) -> Any:
         """What the planner is shown of an observation; WorldError, which says `when`, for an unfit one."""
         return observation if self.sees is None else self.sees.of(observation, when)
+
+    def _chosen(self, shown: Any, info: dict[str, Any], when: str) -> Any:
+        """The planner's action; None where an expert knows none, which ends the run."""
+        if self.sees is not None:
+            return self.planner.act(shown, info)
+        try:
+            return stepping.act(self.planner, self.world, shown, info, when)
+        except GaveUp:
+            return None
 
 
 def config_of(planner: Planner) -> Any:

@@ -5,7 +5,7 @@ among them (dpmacro/parallel/shares.py) is exchanged here, and all of them go on
 """
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -15,9 +15,11 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
+from dpmacro.parallel.heartbeat import heard_of
+
 __all__ = ["ALONE", "Ranks", "joined"]
 
-PATIENCE = timedelta(hours=2)  # for a rank that lives and is late; one that has died is known at once
+PATIENCE = timedelta(hours=2)  # for a rank that lives and is late; others are known earlier
 
 T = TypeVar("T")
 
@@ -127,10 +129,12 @@ ALONE = Ranks()
 
 
 @contextmanager
-def joined(device: str = "cpu") -> Iterator[Ranks]:
+def joined(device: str = "cpu", ending: Callable[[], None] = lambda: None) -> Iterator[Ranks]:
     """All ranks that torchrun has started, until the block is left; `ALONE` where it has started none.
 
-    Ranks on `device` "cpu" meet over gloo, those on GPUs over nccl, each rank with a GPU of its own.
+    Ranks on `device` "cpu" meet over gloo, those on GPUs over nccl, each rank with a GPU of its own. The
+    process ends where another rank is stopped for long (dpmacro/parallel/heartbeat.py); `ending` cleans up
+    before.
 
     Raises ValueError where a machine has fewer GPUs than ranks, ConnectionError where the ranks do not meet.
     """
@@ -152,6 +156,7 @@ def joined(device: str = "cpu") -> Iterator[Ranks]:
     with ranks._meeting():
         dist.init_process_group("nccl" if gpu else "gloo", timeout=PATIENCE)
     try:
-        yield ranks
+        with heard_of(ranks.rank, ranks.size, ending):
+            yield ranks
     finally:
         dist.destroy_process_group()

@@ -7,9 +7,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dpmacro.features.base import Observation
 from dpmacro.policy.config import PolicyConfig
+from dpmacro.utils.checks import as_kind
 
-__all__ = ["blank", "observed"]
+__all__ = ["blank", "checked", "observed"]
 
 IMAGES, PREFIX = "images.", "observation."
 
@@ -31,6 +33,24 @@ def observed(raw: Mapping[str, Any], config: PolicyConfig) -> dict[str, np.ndarr
             value = config.image_transform.of(key).apply(value, "the observation")
         found[key] = value if value.dtype == np.uint8 or not one.shape else value.astype(np.float32)
     return found
+
+
+def checked(observation: Mapping[str, Tensor], config: PolicyConfig, device: torch.device) -> Observation:
+    """The observation. Raises ValueError where an input is missing or is not what the policy can look at."""
+    as_kind("observation", observation, Mapping)
+    for key, one in config.inputs.items():
+        if key not in observation:
+            raise ValueError(f"the observation has no {key}: it has {', '.join(map(str, observation))}")
+        value = as_kind(key, observation[key], Tensor)
+        found = tuple(value.shape[1:])
+        if found != one.shape:
+            shapes = ("x".join(map(str, shape)) for shape in (found, one.shape))
+            raise ValueError("{} is {}: the policy was trained on {}".format(key, *shapes))
+        if value.device != device:
+            raise ValueError(f"{key} is on {value.device}: give it on {device}, where the policy is")
+        if value.is_complex() or (value.is_floating_point() and not bool(value.isfinite().all())):
+            raise ValueError(f"{key} is not finite in places: give finite numbers")
+    return observation
 
 
 def blank(config: PolicyConfig, device: torch.device) -> dict[str, Tensor]:

@@ -22,11 +22,11 @@ from dpmacro.features.kinds import encoder_from
 from dpmacro.features.quantising import Quantiser
 from dpmacro.policy.config import PolicyConfig
 from dpmacro.policy.files import CONFIG_NAME, read_config, write_config
-from dpmacro.policy.observation import blank
+from dpmacro.policy.observation import blank, checked
 from dpmacro.policy.planner import MacroPlanner, PolicyState
 from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 from dpmacro.policy.soundness import check_groups, check_parts, grouped
-from dpmacro.utils.checks import in_a_line
+from dpmacro.utils.checks import as_count, as_device, as_kind, as_path, in_a_line, shown
 from dpmacro.utils.files import replacing
 
 __all__ = ["WEIGHTS_NAME", "MacroPolicy", "PolicyState"]
@@ -79,11 +79,15 @@ class MacroPolicy:
 
     def initial_state(self, batch: int) -> PolicyState:
         """The state of `batch` environments before their first frame."""
+        as_count("batch", batch)
         macro, action = (torch.full((batch,), value, device=self.device) for value in (self._first, -1))
         return PolicyState(macro, action, History.start(self.features, batch))
 
     def restart(self, state: PolicyState, which: Bool[Tensor, " batch"]) -> PolicyState:
         """The state where the environments of `which` begin anew while the others run on."""
+        as_kind("state", state, PolicyState)
+        if not isinstance(which, Tensor) or which.dtype != torch.bool or which.shape != state.macro.shape:
+            raise ValueError(f"which is {shown(which)}: give true or false for each of {len(state.macro)}")
         macro = torch.where(which, self._first, state.macro)
         action = torch.where(which, -1, state.action)
         return PolicyState(macro, action, state.history.restart(which))
@@ -111,7 +115,8 @@ class MacroPolicy:
 
         Raises ValueError where an input is missing or not of the size the policy was trained on.
         """
-        seen, history = state.history.push(self._checked(observation))
+        as_kind("state", state, PolicyState)
+        seen, history = state.history.push(checked(observation, self.config, self.device))
         frames = self.frames(seen)
         macro = self._switch(frames, state)
         scores = self.actor.scores(frames)[torch.arange(len(macro), device=macro.device), macro]
@@ -145,17 +150,6 @@ class MacroPolicy:
     def _networks(self) -> bool:
         parts = [self.actor] if self.switcher is None else [self.actor, self.switcher]
         return any(isinstance(part, ConvNetClassifier) for part in parts)
-
-    def _checked(self, observation: Observation) -> Observation:
-        """The observation. Raises ValueError where an input is missing or has another size."""
-        for key, one in self.config.inputs.items():
-            if key not in observation:
-                raise ValueError(f"the observation has no {key}: it has {', '.join(observation)}")
-            found = tuple(observation[key].shape[1:])
-            if found != one.shape:
-                shapes = ("x".join(map(str, shape)) for shape in (found, one.shape))
-                raise ValueError("{} is {}: the policy was trained on {}".format(key, *shapes))
-        return observation
 
     def _switch(self, frames: Frames, state: PolicyState) -> Int64[Tensor, " batch"]:
         """The macro-action of every environment at these frames."""
@@ -212,6 +206,7 @@ class MacroPolicy:
 
         Raises ValueError where recovery is wanted and the policy holds no actions of demonstrators.
         """
+        as_count("seed", seed, 0)
         planner, replayed = MacroPlanner(self), self.replayed(recovery)
         return planner if replayed is None else RecoveringPlanner(planner, replayed, seed)
 
@@ -227,16 +222,18 @@ class MacroPolicy:
         return self.stretches
 
     def to(self, device: str | torch.device) -> "MacroPolicy":
-        """The policy with its tensors on `device`."""
+        """The policy with its tensors on `device`. Raises ValueError for one that is not there."""
+        device = as_device(device)
         tensors = {name: tensor.to(device) for name, tensor in self._tensors().items()}
         return _assemble(self.config, tensors)
 
-    def save(self, folder: Path) -> None:
+    def save(self, folder: str | Path) -> None:
         """Write the policy into `folder`, every file under a temporary name first.
 
         The files are model.safetensors, config.json and two more that LeRobot asks for
         (dpmacro/policy/files.py).
         """
+        folder = as_path("folder", folder)
         self.save_weights(folder / WEIGHTS_NAME)
         write_config(self.config, folder)
 
@@ -252,7 +249,7 @@ class MacroPolicy:
 
         Raises ValueError naming the file where it is missing, unreadable or does not fit the other one.
         """
-        folder = Path(folder)
+        folder, device = as_path("folder", folder), as_device(device)
         for name in (CONFIG_NAME, WEIGHTS_NAME):
             if not (folder / name).is_file():
                 raise ValueError(

@@ -24,7 +24,7 @@ from dpmacro.evaluation.stage import Stage
 from dpmacro.policy.planner import MacroPlanner
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils.processes import spread, stopped
-from dpmacro.worlds import expert_of, recording_of
+from dpmacro.worlds import expert_of, recording_of, stepping
 from dpmacro.worlds.base import Expert, GaveUp
 from dpmacro.worlds.making import blamed, import_package
 from dpmacro.worlds.observations import ObservationMap
@@ -89,10 +89,10 @@ def _visit(
 ) -> Visit | None:
     env, told = stage.env, recording_of(stage.world)
     when = f"at the start of the run of seed {seed}"
-    with blamed(stage.world, when):
-        observation, info = env.reset(seed=seed)
+    observation, info = stepping.begin(env, stage.world, seed, when)
     planner.reset(env)
-    teacher.reset(env)
+    with blamed(stage.world, when, stepping.EXPERT):
+        teacher.reset(env)
     shown, truth, taught, rewards, agreed = [], [], [], [], []
     actions: list[Any] = []
     teaching, ended, terminated, visited = False, False, False, VisitedStates()
@@ -100,7 +100,7 @@ def _visit(
     while not ended and not stopped():
         seen = sees.of(observation, when)
         try:
-            wanted = teacher.act(observation, info)
+            wanted = stepping.act(teacher, stage.world, observation, info, when)
         except GaveUp:
             break
         chosen = planner.act(seen, info)
@@ -113,10 +113,11 @@ def _visit(
         actions.append(wanted)
         agreed.append(_agree(env.action_space, asked, offered))
         taught.append(teaching)
-        with blamed(stage.world, when):
-            observation, reward, terminated, truncated, info = env.step(asked if teaching else offered)
-        rewards.append(float(reward))
-        ended = bool(terminated or truncated)
+        observation, reward, terminated, truncated, info = stepping.take(
+            env, stage.world, asked if teaching else offered, when
+        )
+        rewards.append(reward)
+        ended = terminated or truncated
         if reward > 0 and teaching:
             teaching, visited = False, VisitedStates()
         if visited.visit(info, teacher if teaching else planner):
@@ -124,7 +125,7 @@ def _visit(
             teaching, visited = True, VisitedStates()
     if not actions:
         return None
-    success = stage.rule.judge(info, rewards[-1], sum(rewards), bool(terminated))[0]
+    success = stage.rule.judge(info, rewards[-1], sum(rewards), terminated)[0]
     task = str(getattr(teacher, "task", told.task))
     run = run_of(shown, actions, truth, rewards, task, success=success)
     return Visit(run, np.array(taught), np.array(agreed))

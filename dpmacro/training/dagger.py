@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from dpmacro.annotation.annotate import annotate
@@ -29,6 +28,7 @@ from dpmacro.training.dagger_options import DaggerOptions
 from dpmacro.training.options import TrainOptions
 from dpmacro.training.run_folder import RunFolder, plain_options
 from dpmacro.training.trainer import Trainer, TrainingResult
+from dpmacro.utils.events import Events
 from dpmacro.utils.stages import stage
 from dpmacro.worlds import EXPERTS, entry_of, recording_of
 from dpmacro.worlds.actions import ActionMap
@@ -88,7 +88,7 @@ def aggregate(
             "frame: choose one by --dataset.task"
         )
     result = trainer.train()
-    with SummaryWriter(str(folder.tensorboard)) as writer:
+    with Events(folder.tensorboard) as writer:
         best = latest = _validated(0, result, len(demonstrations.lengths), float("nan"), dagger)
         known = _without_task(demonstrations)
         _tell(latest, writer, on_iteration)
@@ -225,7 +225,7 @@ def _settled(options: TrainOptions, result: TrainingResult) -> TrainOptions:
     return replace(options, planner=planner)
 
 
-def _tell(iteration: Iteration, writer: SummaryWriter, on_iteration: Callable[[Iteration], None]) -> None:
+def _tell(iteration: Iteration, writer: Events, on_iteration: Callable[[Iteration], None]) -> None:
     scalars: dict[str, Any] = {
         "pc_success": 100 * iteration.successes / iteration.runs,
         "agreement": iteration.agreement,

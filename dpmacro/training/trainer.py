@@ -11,7 +11,6 @@ from pathlib import Path
 import torch
 from jaxtyping import Int64
 from torch import Tensor
-from torch.utils.tensorboard import SummaryWriter
 
 from dpmacro import figures
 from dpmacro.data.demonstrations import Demonstrations
@@ -38,6 +37,7 @@ from dpmacro.training.monitor import Monitor
 from dpmacro.training.options import PlannerOptions, TrainOptions
 from dpmacro.training.pictures import TrainingPictures
 from dpmacro.training.run_folder import RunFolder, plain_options
+from dpmacro.utils.events import Events
 
 __all__ = ["Trainer", "TrainingResult"]
 
@@ -106,7 +106,7 @@ class Trainer:
 
         `start` is a segmentation, or what a search found: it takes the place of the search.
         """
-        with SummaryWriter(str(self.folder.tensorboard)) as writer:
+        with Events(self.folder.tensorboard) as writer:
             columns, choice, found = self._learn(writer, start)
             policy = self._policy(columns, found)
             pretrained = self._save(policy, found)
@@ -118,7 +118,7 @@ class Trainer:
         self._learn(None, None)
 
     def _learn(
-        self, writer: SummaryWriter | None, start: Int64[Tensor, " frames"] | Discovery | None
+        self, writer: Events | None, start: Int64[Tensor, " frames"] | Discovery | None
     ) -> tuple[Columns, Choice | None, DPBoostResult]:
         """The feature columns, how the number of macro-actions was chosen, and what was found."""
         columns = self.data.prepare()
@@ -216,7 +216,7 @@ class Trainer:
         self._settings = _settings(self.options.planner, self.demonstrations.vector)
         self._order_notes = notes
 
-    def _choose(self, data: SortedLevels, writer: SummaryWriter | None) -> Choice:
+    def _choose(self, data: SortedLevels, writer: Events | None) -> Choice:
         """Search with every setting, one macro-action aside, and choose by data that was left out.
 
         Of vectors there is one search, with most macro-actions, that serves for all numbers of them

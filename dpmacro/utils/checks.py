@@ -6,6 +6,7 @@ The line starts with the argument's name, says the value, and what to give inste
 import math
 import numbers
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,13 @@ __all__ = [
     "ArrayLike",
     "as_choice",
     "as_count",
+    "as_device",
     "as_entries",
     "as_flag",
+    "as_kind",
     "as_lengths",
     "as_number",
+    "as_path",
     "as_tensor",
     "as_text",
     "as_whole_vector",
@@ -89,6 +93,35 @@ def as_choice(name: str, value: Any, known: Iterable[str]) -> str:
     if not isinstance(value, str) or value not in known:
         raise ValueError(f"{name} is {shown(value)}: give one of {', '.join(known)}")
     return value
+
+
+def as_kind(name: str, value: Any, kind: Any, wanted: str = "") -> Any:
+    """An instance of a class, or of one of several; `wanted` says in words what to give instead."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} is a {type(value).__name__}: give {wanted or f'a {kind.__name__}'}")
+    return value
+
+
+def as_path(name: str, value: Any) -> Path:
+    """A path that is not empty."""
+    if not isinstance(value, str | Path) or not str(value):
+        raise ValueError(f"{name} is {shown(value)}: give the path of a folder")
+    return Path(value)
+
+
+def as_device(device: Any) -> torch.device:
+    """The device that tensors can be put on; "cuda" becomes the card that it means.
+
+    Raises ValueError for one that does not exist here, or holds no values.
+    """
+    if not isinstance(device, str | torch.device):
+        raise ValueError(f"device is {shown(device)}: give its name, 'cpu' or 'cuda:0' say")
+    try:
+        probe = torch.zeros(1, device=device)
+        probe.item()
+    except (RuntimeError, AssertionError, TypeError, ValueError) as error:
+        raise ValueError(f"device is {shown(str(device))}, which cannot be used here: give 'cpu'") from error
+    return probe.device
 
 
 def as_entries(name: str, value: Any, count: int | None = None, kind: Any = tuple | list) -> Any:

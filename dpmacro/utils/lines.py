@@ -66,11 +66,16 @@ def warnings_in_a_line(script: str) -> Iterator[None]:
 
 @contextmanager
 def threads_in_a_line() -> Iterator[None]:
-    """A thread that ends for lack of space says so in a line; a bug in one keeps its traceback."""
+    """A thread that ends for lack of space says so in a line; a bug in one keeps its traceback.
+
+    A thread that keeps its error in `exception`, as TensorBoard's does, hands it to those it works for.
+    """
     show_others = threading.excepthook
 
     def show(arguments: threading.ExceptHookArgs) -> None:
         error = arguments.exc_value
+        if isinstance(error, OSError) and getattr(arguments.thread, "exception", None) is error:
+            return
         if isinstance(error, OSError) and error.errno in NO_SPACE:
             event = error if error.filename else OSError(error.errno, error.strerror, EVENTS)
             say(f"warning: {in_a_line(event)}")

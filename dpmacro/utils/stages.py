@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable
 from contextvars import ContextVar, Token
 from dataclasses import dataclass
 from functools import wraps
+from io import BytesIO
 from pathlib import Path
 from pickle import UnpicklingError
 from types import TracebackType
@@ -199,8 +200,10 @@ class Journal:
 
 
 def _write(file: Path, value: Any) -> None:
+    whole = BytesIO()
+    torch.save(value, whole)  # which, of a file that may not grow, raises an error without its reason
     with replacing(file) as path:
-        torch.save(value, path)
+        path.write_bytes(whole.getbuffer())
 
 
 def _read(file: Path) -> Any:

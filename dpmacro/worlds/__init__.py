@@ -11,7 +11,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from dpmacro.worlds.base import Diagnosis, Expert, GenericDiagnosis, Recording
+from dpmacro.worlds.base import Diagnosis, Expert, GenericDiagnosis, Recording, WorldError
 from dpmacro.worlds.metaworld import FAMILY, TASKS
 
 __all__ = [
@@ -98,7 +98,15 @@ def entry_of(table: Mapping[str, str], world: str) -> Any:
     """Return what a table holds for the world of this id or, failing that, its family; None for neither."""
     families = sorted((name for name in table if name[-1] in "/-" and world.startswith(name)), key=len)
     known = [name for name in (*families, world) if name in table]
-    return resolve_name(table[known[-1]]) if known else None
+    if not known:
+        return None
+    try:
+        return resolve_name(table[known[-1]])
+    except (ImportError, AttributeError, ValueError) as error:
+        raise WorldError(
+            f"what the tables of dpmacro.worlds hold for {known[-1]}, {table[known[-1]]}, is not there "
+            f"({' '.join(str(error).split())}): correct what the package of that world adds to them"
+        ) from error
 
 
 def diagnosis_of(world: str) -> Diagnosis:

@@ -10,6 +10,9 @@ from dpmacro.worlds.base import WorldError
 
 __all__ = ["ActionMap"]
 
+NUMBERS = "biuf"  # kinds of numpy's types
+SHOWN = 80  # letters of an action in a message
+
 
 @dataclass(frozen=True)
 class ActionMap:
@@ -63,20 +66,33 @@ class ActionMap:
     def of(self, action: Any, when: str) -> tuple[Any, bool]:
         """The action as the world takes it, and whether a vector had to be clipped.
 
-        Raises WorldError, which says `when`, for a vector of another size or one that is not finite.
+        Raises WorldError, which says `when`, for a class that there is not, and for a vector of another size
+        or one that is not finite.
         """
+        try:
+            vector = np.asarray(action)
+        except (ValueError, TypeError, RuntimeError):  # an expert's lists of other lengths, GPUs' tensors
+            vector = np.asarray(None)
+        sound = vector.dtype.kind in NUMBERS and bool(np.isfinite(vector).all())
         if isinstance(self.space, gym.spaces.Discrete):
-            return int(action) + self.start, False
-        vector = np.asarray(action)
-        if vector.shape != self.space.shape or not np.isfinite(vector).all():
-            raise WorldError(
-                f"the action {vector.tolist()} {when} is none that the world {self.world} takes: it takes "
-                f"{self.space.shape[0]} finite numbers"
-            )
+            low, n = int(self.space.start), int(self.space.n)
+            number = vector.item() + self.start if sound and vector.size == 1 else None
+            if number is None or number != int(number) or not low <= number < low + n:
+                raise self._refused(action, f"one of {low} to {low + n - 1}", when)
+            return int(number), False
+        if not sound or vector.shape != self.space.shape:
+            raise self._refused(action, f"{self.space.shape[0]} finite numbers", when)
         if self.space.dtype.kind in "iu":
             vector = np.rint(vector)
         clipped = np.clip(vector, self.space.low, self.space.high)
         return clipped.astype(self.space.dtype), bool((clipped != vector).any())
+
+    def _refused(self, action: Any, takes: str, when: str) -> WorldError:
+        shown = " ".join(str(action.tolist() if isinstance(action, np.ndarray) else repr(action)).split())
+        shown = shown if len(shown) <= SHOWN else f"{shown[:SHOWN]}..."
+        return WorldError(
+            f"the action {shown} {when} is none that the world {self.world} takes: it takes {takes}"
+        )
 
     @property
     def recorded_type(self) -> type:

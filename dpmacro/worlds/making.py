@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import gymnasium as gym
 
 from dpmacro.worlds import MAKERS, OPTIONS, entry_of
-from dpmacro.worlds.base import WorldError
+from dpmacro.worlds.base import GaveUp, WorldError
 
 __all__ = ["OURS", "WorldOptions", "blamed", "brief", "complete", "import_package", "make_world"]
 
@@ -74,9 +74,13 @@ def import_package(world: Mapping[str, Any]) -> None:
     package = world.get("import")
     if package is None:
         return
+    if not isinstance(package, str) or not all(part.isidentifier() for part in package.split(".")):
+        raise WorldError(f"--world.import={package} is no package's name: give one, like gym_pusht")
     try:
         importlib.import_module(package)
-    except Exception as error:  # a stranger's package may raise anything
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # a stranger's package may raise anything, and end the process
         raise WorldError(
             f"--world.import={package} cannot be imported ({brief(error)}): install it, or correct its name"
         ) from error
@@ -103,13 +107,17 @@ def make_world(world: Mapping[str, Any], render_mode: str | None = None) -> gym.
     try:
         # What is seen and done is checked in every step anyway.
         return maker(name, **options) if maker else gym.make(name, disable_env_checker=True, **options)
-    except Exception as error:  # a stranger's world may raise anything
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # a stranger's world may raise anything, and end the process
         if isinstance(error, ValueError) and (maker or entry_of(OPTIONS, name)):  # ours, which name a remedy
             raise
         if name.rpartition(":")[2] not in gym.registry:
+            remedy = "or name the package that registers it by --world.import="
+            if world.get("import"):
+                remedy = f"since --world.import={world['import']} registers none of this name"
             raise WorldError(
-                f"there is no world {name!r} ({brief(error)}): correct --world.id, or name the package that "
-                "registers it by --world.import="
+                f"there is no world {name!r} ({brief(error)}): correct --world.id, {remedy}"
             ) from error
         raise WorldError(
             f"the world {name} cannot be made with {options} ({brief(error)}): correct its options, "
@@ -118,20 +126,30 @@ def make_world(world: Mapping[str, Any], render_mode: str | None = None) -> gym.
 
 
 @contextmanager
-def blamed(world: str, when: str) -> Iterator[None]:
+def blamed(world: str, when: str, who: str = "the world") -> Iterator[None]:
     """What a world raises within becomes a WorldError: its code is not ours, and may raise anything.
 
-    `world` is its id, and `when` says at which step of which run.
+    Args:
+        world: its id.
+        when: at which step of which run, in words.
+        who: what of it is run.
+
+    `GaveUp`, Ctrl-C and signals pass.
     """
     try:
         yield
-    except Exception as error:
+    except (GaveUp, KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # `sys.exit`, too, ends the run alone
         raise WorldError(
-            f"the world {world} raised {brief(error)}, {when}: correct the world or its options"
+            f"{who} {world} raised {brief(error)}, {when}: correct the world or its options"
         ) from error
 
 
 def brief(error: BaseException) -> str:
     """The error in a line: its kind, and what it says."""
-    text = " ".join(str(error).split())
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # its text is a stranger's code, too
+        text = ""
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -117,7 +117,13 @@ class ObservationMap:
                         "correct the world"
                     )
                 value = value[part]
-            value = np.asarray(value)
+            try:
+                value = np.asarray(value)
+            except (ValueError, TypeError, RuntimeError) as error:  # lists of other lengths, GPUs' tensors
+                raise WorldError(
+                    f"the world {self.world} shows {name} that is no array {when} "
+                    f"({' '.join(str(error).split())}): correct the world"
+                ) from error
             picture = len(self.shapes[key]) == 3
             value = value if picture else value.reshape(-1)
             sound = value.dtype == np.uint8 if picture else value.dtype.kind in NUMBERS
@@ -127,7 +133,8 @@ class ObservationMap:
                     f"{when}, not {self.shapes[key]} as its observation_space says: correct the world"
                 )
             if not picture:
-                value = value.astype(np.float32)
+                with np.errstate(over="ignore"):  # then infinite, which is told below
+                    value = value.astype(np.float32)
                 wrong = np.flatnonzero(~np.isfinite(value))
                 if len(wrong):
                     raise WorldError(

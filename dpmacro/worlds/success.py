@@ -68,8 +68,11 @@ class SuccessRule:
         return next((key for key in KEYS if key in info), None)
 
     def _true(self, key: str, value: Any) -> bool:
-        flags = np.asarray(value)
-        if flags.size != 1 or flags.dtype.kind not in "biuf":
+        try:
+            flags = np.asarray(value)
+        except (ValueError, TypeError, RuntimeError):  # lists of other lengths, tensors on a GPU
+            flags = np.empty(0)
+        if flags.size != 1 or flags.dtype.kind not in "biuf" or np.isnan(flags).any():
             raise WorldError(
                 f"the info of the world {self.world} has {value!r} as {key!r}: name what is true or false by "
                 "--world.success="

@@ -1,6 +1,7 @@
 """train.py as torchrun starts it: any number of ranks trains the same policy, and one that dies ends all."""
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -16,18 +17,24 @@ LAST = "checkpoints/last/pretrained_model"
 FOUND = ("model.safetensors", "config.json", "../training_state/segmentation.safetensors")
 
 
-def torchrun(size, *arguments, dies=None):
-    """What so many ranks print on stdout and stderr, their exit status, and the seconds they took."""
+def started(size, **faults):
+    """The command that starts so many ranks, but for their arguments, and its environment."""
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc_per_node={size}"]
     # Ranks meet on this machine's loopback: its host name may be known to nobody.
     loopback = next(name for _, name in socket.if_nameindex() if name.startswith("lo"))
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "GLOO_SOCKET_IFNAME": loopback}
-    environment |= {} if dies is None else {"DIES": str(dies)}
-    started = time.monotonic()
+    environment |= {name.upper(): str(value) for name, value in faults.items()}
+    return [*command, str(SCRIPT)], environment
+
+
+def torchrun(size, *arguments, **faults):
+    """What so many ranks print on stdout and stderr, their exit status, and the seconds they took."""
+    command, environment = started(size, **faults)
+    began = time.monotonic()
     done = subprocess.run(
-        [*command, SCRIPT, *arguments], capture_output=True, text=True, env=environment, timeout=300
+        [*command, *arguments], capture_output=True, text=True, env=environment, timeout=300
     )
-    return done.stdout, done.stderr, done.returncode, time.monotonic() - started
+    return done.stdout, done.stderr, done.returncode, time.monotonic() - began
 
 
 def found(run):
@@ -66,6 +73,23 @@ def test_a_rank_that_dies_ends_all_and_others_go_on(options, one, tmp_path):
     _, error, status, _ = torchrun(3, *going_on)
     assert status == 0, error
     assert found(run) == found(one)
+
+
+def test_a_rank_that_is_stopped_ends_all(options, tmp_path):
+    command, environment = started(2, stops=f"1:{tmp_path / 'pid'}")
+    run = tmp_path / "run"
+    with subprocess.Popen(
+        [*command, *options, f"--output_dir={run}"], stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        told = next(line for line in iter(process.stderr.readline, "") if line.startswith("error: rank"))
+        os.kill(int((tmp_path / "pid").read_text()), signal.SIGCONT)  # which torchrun has told to end
+        process.communicate(timeout=100)
+    assert process.returncode != 0
+    assert told == (
+        "error: rank 0 of 2 ends since rank 1 has not been heard of for 4 s: it is stopped, or its machine "
+        "is; train.py goes on by --resume=true\n"
+    )
+    assert list((run / "checkpoints/000000/training_state/stages").glob("*.pt"))
 
 
 @pytest.mark.parametrize(

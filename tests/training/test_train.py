@@ -514,6 +514,7 @@ def test_a_full_disk_after_the_policy_leaves_it_and_the_report(recorded, tmp_pat
 
     monkeypatch.setattr("dpmacro.figures.style.Figure.savefig", full)
     monkeypatch.setattr(train, "write_row", full)
+    monkeypatch.setattr(train, "write_scores", full)
     with pytest.raises(SystemExit) as stop:
         call(monkeypatch, f"--dataset.root={recorded}", f"--output_dir={tmp_path / 'run'}", *TINY)
     out, err = capsys.readouterr()

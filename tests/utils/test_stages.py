@@ -136,3 +136,12 @@ def test_files_that_cannot_be_read_are_refused(content, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"00001.pt cannot be read") as error, Stages(tmp_path, 0):
         grown(1, 0)
     assert "\n" not in str(error.value) and not (tmp_path / "harm").exists()
+
+
+def test_a_file_that_may_not_grow_is_named(tmp_path, limited):
+    """`torch.save` itself has an error of its own for it, which says nothing."""
+    Counted.most = 10**6
+    limited(500)
+    with pytest.raises(OSError, match="File too large") as error, Stages(tmp_path, 2):
+        grown(1, 0)
+    assert Path(error.value.filename).parent == tmp_path and not list(tmp_path.iterdir())

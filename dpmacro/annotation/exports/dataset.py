@@ -22,6 +22,7 @@ from dpmacro.annotation.exports.rewriting import rewrite
 from dpmacro.annotation.exports.statistics import episode_columns, is_statistic_of, with_statistics
 from dpmacro.annotation.stages import Stages
 from dpmacro.data.lerobot.tables import column_names, read_json
+from dpmacro.utils.checks import as_entries, as_kind, as_path
 from dpmacro.utils.files import replacing
 
 __all__ = ["WrittenLabels", "write_labels", "writing_labels"]
@@ -95,7 +96,10 @@ def writing_labels(
     The dataset is written before the block begins. Where the block raises, or is stopped, there is no new
     folder, and a later call goes on with what was written. Arguments and errors are those of `write_labels`.
     """
-    root, output = Path(root), Path(output)
+    root, output = as_path("root", root), as_path("output", output)
+    as_kind("stages", stages, Stages)
+    if formats is not None:
+        as_entries("formats", formats)
     refuse_places(root, output)
     labelled = labelled_dataset(root, stages)
     before = formats_of(root)

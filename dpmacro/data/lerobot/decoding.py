@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
 from dpmacro.data.images import DatasetError
-from dpmacro.data.lerobot.headers import MOST_PIXELS, stated_size
+from dpmacro.data.lerobot.boxes import check_tables
+from dpmacro.data.lerobot.headers import MOST_PIXELS, most_pixels, stated_size
 
 __all__ = [
     "Clip",
@@ -154,13 +155,20 @@ def _as_rgb(pixels: np.ndarray | None) -> UInt8[np.ndarray, "height width 3"] | 
     return np.repeat(colours, 3, axis=2) if levels.shape[2] == 1 else np.ascontiguousarray(colours)
 
 
-def _open_video(path: Path) -> Any:
-    """The container of a video file; what it holds on entering, DatasetError where there is none."""
+def _open_video(path: Path, new: bool = False) -> Any:
+    """The container of a video file; what it holds on entering, DatasetError where there is none.
+
+    A file that is `new` has its tables checked.
+    """
     if not path.is_file():
         raise DatasetError(f"{path}: is missing; the dataset is half-copied or half-written")
+    if new:
+        check_tables(path)
+    most = most_pixels(path.stat().st_size)
+    bounds = {"max_pixels": str(most)}  # of what frames themselves say, before there is memory for one
     av.logging.set_libav_level(av.logging.FATAL)  # errors are raised; libav would write its own lines, too
     # A path as it is may be taken for a protocol; titles in a file may be in no encoding, and are not read.
-    container = av.open(f"file:{path}", metadata_errors="ignore")
+    container = av.open(f"file:{path}", metadata_errors="ignore", options=bounds)
     if not container.streams.video:
         container.close()
         raise DatasetError(f"{path}: holds no video; record the dataset again")
@@ -169,16 +177,17 @@ def _open_video(path: Path) -> Any:
         container.close()
         raise DatasetError(f"{path}: holds a video of no known codec or clock; record the dataset again")
     width, height = stream.codec_context.width, stream.codec_context.height
-    if width * height > MOST_PIXELS:
+    if not 0 < width * height <= most:  # libav has 0 where there are too many
         container.close()
-        raise DatasetError(f"{path}: holds a video of {width}x{height}; store {MOST_PIXELS} pixels at most")
+        raise DatasetError(f"{path}: is {width}x{height}; of a file of its size 1 to {most} pixels are read")
+    stream.codec_context.options = bounds
     return container
 
 
 def probe_video(path: Path) -> Picture:
-    """How a video file is stored."""
+    """How a video file is stored; DatasetError where it is missing or damaged."""
     try:
-        with _open_video(path) as container:
+        with _open_video(path, new=True) as container:
             codec = container.streams.video[0].codec_context
             return Picture(codec.height, codec.width, (codec.pix_fmt or "").startswith(DEPTH_FORMATS))
     except av.FFmpegError as error:
@@ -186,10 +195,10 @@ def probe_video(path: Path) -> Picture:
 
 
 def scan_video(path: Path) -> Film:
-    """The frames that a file lists; nothing is decoded."""
+    """The frames that a file lists; nothing is decoded. Raises DatasetError as `probe_video` does."""
     stamps, keys = [], []
     try:
-        with _open_video(path) as container:
+        with _open_video(path, new=True) as container:
             stream = container.streams.video[0]
             unit = float(stream.time_base)
             for packet in container.demux(stream):

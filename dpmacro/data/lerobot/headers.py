@@ -1,4 +1,4 @@
-"""The size of an encoded picture by its header, before a byte of it is decoded.
+"""The size of an encoded picture by its header, before a byte of it is decoded; what sizes are read.
 
 A file of a hundred bytes may say that it is 100,000 pixels wide and high, and decoders take memory for it.
 """
@@ -6,12 +6,18 @@ A file of a hundred bytes may say that it is 100,000 pixels wide and high, and d
 import itertools
 from typing import Any
 
-__all__ = ["MOST_PIXELS", "stated_size"]
+__all__ = ["MOST_PIXELS", "most_pixels", "stated_size"]
 
 MOST_PIXELS = 2**26  # 8192 x 8192; decoded it takes 200 MiB
+LITTLE, FEW_PIXELS = 2**20, 2**23  # a film of less than 1 MiB; 3840 x 2160
 PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of JPEG after which the size stands
 ALONE = {0x01, *range(0xD0, 0xD9)}  # markers without a length
+
+
+def most_pixels(size: int) -> int:
+    """Pixels that a frame of a film of `size` bytes may have; a decoder keeps up to 17 frames."""
+    return FEW_PIXELS if size < LITTLE else MOST_PIXELS
 
 
 def stated_size(content: Any) -> tuple[int, int] | None:
