@@ -1,0 +1,155 @@
+"""A teacher that also looks behind flags, and walks round those whose turn it is not."""
+
+import cmath
+import math
+from collections.abc import Hashable, Sequence
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+
+from dpmacro.worlds.two_flags.env import FORWARD, STEP, TURN, TURN_LEFT, TURN_RIGHT, WHOLE_TURN, TwoFlagsEnv
+from dpmacro.worlds.two_flags.places import CLEAR, TOUCH, clearance, is_seen, way_past
+from dpmacro.worlds.two_flags.scene import FIELD_OF_VIEW
+from dpmacro.worlds.two_flags.teacher import centring, flags_world
+
+__all__ = ["SearchingTeacher"]
+
+WIDEST = FIELD_OF_VIEW / 2 - math.radians(3)  # off the target, which stays in view
+LOOKS = 48  # directions in which it thinks of walking
+WALKS = (0.9, 1.5, 2.5, 4.0)  # metres
+BEHIND = (1.5, 3.0, 6.0)  # metres behind a flag, where another may stand
+AHEAD = 1.0  # metres
+
+
+class SearchingTeacher:
+    """Looks for the target like the paper's teacher, and where a whole turn does not show it, walks on.
+
+    It turns left until the target is in view, and walks to it. Where another flag stands in the way, it walks
+    past that flag. Where it has turned once round without seeing the target, this must be behind a flag: it
+    walks to the nearest place from which most of what flags hide is seen, and looks from there. It does the
+    same where it is so close to a flag in the way that walking past would turn its eyes from the target.
+
+    It is told what the paper's teacher is told, the phase, which flags are to be seen and in what direction,
+    and how far they and the walls are, as a person sees. Only what could be seen from where it stands counts.
+    """
+
+    def __init__(self) -> None:
+        self._world: TwoFlagsEnv | None = None
+        self._begin(0)
+
+    @property
+    def memory(self) -> Hashable:
+        """The phase, turns since the target was seen, and what is left of a walk: turns and steps."""
+        return self._phase, self._looked, self._turns, self._steps
+
+    def reset(self, env: gym.Env) -> None:
+        """Begin an episode in `env`, which must be a room with flags; raises ValueError otherwise."""
+        self._world = flags_world(env)
+        self._begin(0)
+
+    def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
+        """Return the action for the state that the world of `reset` is in; `info` gives the phase."""
+        if info["phase"] != self._phase:
+            self._begin(info["phase"])
+        world = cast(TwoFlagsEnv, self._world)
+        target = world.flags[self._phase]
+        way = None
+        if world.scene.visible(target):
+            self._looked = 0
+            place = self._place(target)
+            way = self._way_to(place)
+            if way is None and not self._walking:
+                self._plan([place])
+        elif not self._walking:
+            if self._looked == WHOLE_TURN:
+                self._looked = 0
+                self._plan(self._hidden())
+            self._looked += 1
+        if way is not None:
+            self._turns = self._steps = 0
+            return self._towards(way)
+        return self._walk() if self._walking else TURN_LEFT
+
+    def _begin(self, phase: int) -> None:
+        self._phase = phase
+        self._looked = self._turns = self._steps = 0
+
+    @property
+    def _walking(self) -> bool:
+        return bool(self._turns or self._steps)
+
+    def _place(self, flag: str) -> complex:
+        scene = cast(TwoFlagsEnv, self._world).scene
+        return cmath.rect(scene.distance(flag), scene.bearing(flag))
+
+    def _others(self, touched: bool) -> list[complex]:
+        """Places of the flags in sight but for the target, with or without those that were touched."""
+        world = cast(TwoFlagsEnv, self._world)
+        flags = (*world.flags[: self._phase * touched], *world.flags[self._phase + 1 :])
+        return [self._place(flag) for flag in flags if world.scene.in_sight(flag)]
+
+    def _way_to(self, target: complex) -> float | None:
+        """The direction to walk in towards the target; None where it would be out of view."""
+        way = way_past(target, self._others(touched=True), WIDEST)
+        # Flags that were touched do no harm, and an avatar glances off them.
+        return way_past(target, self._others(touched=False), WIDEST) if way is None else way
+
+    def _towards(self, way: float) -> int:
+        action = centring(way)
+        if action == FORWARD and clearance(complex(AHEAD), self._others(touched=False)) < CLEAR - 0.03:
+            return TURN_LEFT if way > 0 else TURN_RIGHT
+        return action
+
+    def _walk(self) -> int:
+        """The next action of the walk that is planned."""
+        if self._turns:
+            left = self._turns > 0
+            self._turns -= 1 if left else -1
+            return TURN_LEFT if left else TURN_RIGHT
+        self._steps -= 1
+        if clearance(complex(2 * STEP), self._others(touched=False)) < TOUCH + 0.01:
+            self._steps = 0
+            return TURN_LEFT
+        return FORWARD
+
+    def _hidden(self) -> list[complex]:
+        """Places where the target may be: behind the flags in sight, within the walls."""
+        scene, found = cast(TwoFlagsEnv, self._world).scene, []
+        for flag in self._others(touched=True):
+            way = cmath.phase(flag)
+            reach = scene.to_wall(way)
+            found += [
+                cmath.rect(abs(flag) + gap, way)
+                for gap in BEHIND
+                if gap == BEHIND[0] or abs(flag) + gap < reach
+            ]
+        return found
+
+    def _plan(self, targets: Sequence[complex]) -> None:
+        """Choose a walk after which most of `targets` are seen and can be walked to, and the shortest such."""
+        scene, flags = cast(TwoFlagsEnv, self._world).scene, self._others(touched=True)
+        best = (-1, -math.inf)
+        for look in range(LOOKS):
+            way = 2 * math.pi * look / LOOKS - math.pi
+            room = scene.to_wall(way)
+            for walk in WALKS:
+                end = cmath.rect(walk, way)
+                if walk > room or clearance(end, flags) < CLEAR:
+                    continue
+                seen = [at for at in targets if self._good(end, at, flags)]
+                cost = abs(way) / TURN + walk / STEP + min((_look(end, at) for at in seen), default=0.0)
+                if (len(seen), -cost) > best:
+                    best = (len(seen), -cost)
+                    self._turns, self._steps = round(way / TURN), round(walk / STEP)
+
+    def _good(self, end: complex, target: complex, flags: Sequence[complex]) -> bool:
+        """Whether the target, if it is there, is seen from `end` and can be walked to."""
+        others = [flag - end for flag in flags]
+        return is_seen(target - end, others) and way_past(target - end, others, WIDEST) is not None
+
+
+def _look(end: complex, target: complex) -> float:
+    """Turns to the left, after a walk to `end`, until the target comes into view."""
+    bearing = cmath.phase((target - end) / end) + FIELD_OF_VIEW / 2
+    return max(0.0, bearing % (2 * math.pi) - FIELD_OF_VIEW) / TURN
