@@ -8,7 +8,8 @@ otherwise.
 
 - changed_early: the last macro-action belongs to a later phase than the run had come to.
 - change_missed: the last macro-action belongs to an earlier phase.
-- red_in_the_way: red was touched before its turn, under any other macro-action, or none; other flags likewise.
+- red_in_the_way: red was touched before its turn, under any other macro-action, or none; other flags
+  likewise.
 - pressed: at the end forward steps cover less than `SLIP` of the distance that they cover in open space,
   since a wall or a flag is in the way.
 - spins: the end holds nothing but turns, and they add up to a whole turn at least.

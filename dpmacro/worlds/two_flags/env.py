@@ -141,7 +141,9 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         Raises ValueError for an action that is none, and gymnasium's ResetNeeded outside an episode.
         """
         if not self._running:
-            raise gym.error.ResetNeeded(f"{self.config.world}: the episode is over or never began: call reset first")
+            raise gym.error.ResetNeeded(
+                f"{self.config.world}: the episode is over or never began: call reset first"
+            )
         if not 0 <= action < len(ACTIONS):
             raise ValueError(
                 f"{self.config.world}: action is {action}: choose 0 (forward), 1 (left) or 2 (right)"

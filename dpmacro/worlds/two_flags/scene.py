@@ -184,14 +184,12 @@ class Scene:
         )
 
     def visible(self, flag: str) -> bool:
-        """Return whether the flag's centre is in the field of view and not all of it behind others."""
-        return abs(self.bearing(flag)) <= FIELD_OF_VIEW / 2 and self.in_sight(flag)
-
-    def in_sight(self, flag: str) -> bool:
-        """Return whether the flag would be visible if the avatar turned to it.
+        """Return whether the flag's centre is in the field of view and not all of it behind others.
 
         Five rays go from the eye across the flag's width; the flag is seen if one hits it first.
         """
+        if abs(self.bearing(flag)) > FIELD_OF_VIEW / 2:
+            return False
         towards = self._positions[flag] - self.position
         across = np.array([-towards[1], towards[0]]) / np.linalg.norm(towards)
         offsets = np.linspace(-0.9, 0.9, 5) * FLAG_RADIUS

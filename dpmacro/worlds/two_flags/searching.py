@@ -8,7 +8,7 @@ from typing import Any, cast
 import gymnasium as gym
 import numpy as np
 
-from dpmacro.worlds.two_flags.env import FORWARD, STEP, TURN, TURN_LEFT, TURN_RIGHT, WHOLE_TURN, TwoFlagsEnv
+from dpmacro.worlds.two_flags.env import FORWARD, STEP, TURN, TURN_LEFT, TURN_RIGHT, TwoFlagsEnv
 from dpmacro.worlds.two_flags.places import CLEAR, TOUCH, clearance, is_seen, way_past
 from dpmacro.worlds.two_flags.scene import FIELD_OF_VIEW
 from dpmacro.worlds.two_flags.teacher import centring, flags_world
@@ -16,10 +16,11 @@ from dpmacro.worlds.two_flags.teacher import centring, flags_world
 __all__ = ["SearchingTeacher"]
 
 WIDEST = FIELD_OF_VIEW / 2 - math.radians(3)  # off the target, which stays in view
-LOOKS = 48  # directions in which it thinks of walking
+LOOKS = 48  # directions that it tells apart
 WALKS = (0.9, 1.5, 2.5, 4.0)  # metres
 BEHIND = (1.5, 3.0, 6.0)  # metres behind a flag, where another may stand
 AHEAD = 1.0  # metres
+NEAR = 0.1  # metres from a goal that is reached
 
 
 class SearchingTeacher:
@@ -30,64 +31,81 @@ class SearchingTeacher:
     walks to the nearest place from which most of what flags hide is seen, and looks from there. It does the
     same where it is so close to a flag in the way that walking past would turn its eyes from the target.
 
-    It is told what the paper's teacher is told, the phase, which flags are to be seen and in what direction,
-    and how far they and the walls are, as a person sees. Only what could be seen from where it stands counts.
+    It is told what the paper's teacher is told, the phase and the directions of the flags in view, and beside
+    that how far these flags and the walls are, as a person sees. It remembers where the flags are that it has
+    seen; a flag that was never in view it does not know, and may run into.
     """
 
     def __init__(self) -> None:
         self._world: TwoFlagsEnv | None = None
         self._begin(0)
+        self._seen: frozenset[str] = frozenset()
 
     @property
     def memory(self) -> Hashable:
-        """The phase, turns since the target was seen, and what is left of a walk: turns and steps."""
-        return self._phase, self._looked, self._turns, self._steps
+        """Phase, flags seen, where and in which directions it has looked for the target, and its goal."""
+        return self._phase, self._seen, self._looked_from, self._looked, self._goal
 
     def reset(self, env: gym.Env) -> None:
         """Begin an episode in `env`, which must be a room with flags; raises ValueError otherwise."""
-        self._world = flags_world(env)
+        self._world, self._seen = flags_world(env), frozenset()
         self._begin(0)
 
     def act(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> int:
-        """Return the action for the state that the world of `reset` is in; `info` gives the phase."""
+        """Return the action for the state that the world of `reset` is in; `info` gives the phase.
+
+        What was done before need not have been this teacher's action.
+        """
         if info["phase"] != self._phase:
             self._begin(info["phase"])
         world = cast(TwoFlagsEnv, self._world)
         target = world.flags[self._phase]
-        way = None
+        self._seen |= {flag for flag in world.flags if world.scene.visible(flag)}
         if world.scene.visible(target):
             self._looked = 0
             place = self._place(target)
             way = self._way_to(place)
-            if way is None and not self._walking:
+            if way is not None:
+                self._goal = None
+                return self._towards(way)
+            if self._goal is None:
                 self._plan([place])
-        elif not self._walking:
-            if self._looked == WHOLE_TURN:
-                self._looked = 0
-                self._plan(self._hidden())
-            self._looked += 1
-        if way is not None:
-            self._turns = self._steps = 0
-            return self._towards(way)
-        return self._walk() if self._walking else TURN_LEFT
+        elif self._goal is None and self._has_looked_round():
+            self._plan(self._hidden())
+        return TURN_LEFT if self._goal is None else self._walk(self._goal)
 
     def _begin(self, phase: int) -> None:
-        self._phase = phase
-        self._looked = self._turns = self._steps = 0
+        self._phase, self._looked = phase, 0
+        self._looked_from = 0j
+        self._goal: complex | None = None  # in the room's coordinates
 
     @property
-    def _walking(self) -> bool:
-        return bool(self._turns or self._steps)
+    def _here(self) -> complex:
+        """Where the avatar is, in the room's coordinates."""
+        return complex(*cast(TwoFlagsEnv, self._world).scene.position)
+
+    @property
+    def _ahead(self) -> complex:
+        """Where it looks, a place at 1 m, less its own, in the room's coordinates."""
+        return cmath.rect(1, cast(TwoFlagsEnv, self._world).scene.heading)
+
+    def _has_looked_round(self) -> bool:
+        """Note where it looks; whether it has looked everywhere from about here."""
+        if not self._looked or abs(self._here - self._looked_from) > AHEAD:
+            self._looked, self._looked_from = 0, self._here
+        turned = cmath.phase(self._ahead) % (2 * math.pi) / (2 * math.pi)
+        self._looked |= 1 << min(int(turned * LOOKS), LOOKS - 1)
+        return self._looked == (1 << LOOKS) - 1
 
     def _place(self, flag: str) -> complex:
         scene = cast(TwoFlagsEnv, self._world).scene
         return cmath.rect(scene.distance(flag), scene.bearing(flag))
 
     def _others(self, touched: bool) -> list[complex]:
-        """Places of the flags in sight but for the target, with or without those that were touched."""
-        world = cast(TwoFlagsEnv, self._world)
-        flags = (*world.flags[: self._phase * touched], *world.flags[self._phase + 1 :])
-        return [self._place(flag) for flag in flags if world.scene.in_sight(flag)]
+        """Places of the flags it has seen but for the target, with or without those that were touched."""
+        flags = cast(TwoFlagsEnv, self._world).flags
+        others = (*flags[: self._phase * touched], *flags[self._phase + 1 :])
+        return [self._place(flag) for flag in others if flag in self._seen]
 
     def _way_to(self, target: complex) -> float | None:
         """The direction to walk in towards the target; None where it would be out of view."""
@@ -101,20 +119,18 @@ class SearchingTeacher:
             return TURN_LEFT if way > 0 else TURN_RIGHT
         return action
 
-    def _walk(self) -> int:
-        """The next action of the walk that is planned."""
-        if self._turns:
-            left = self._turns > 0
-            self._turns -= 1 if left else -1
-            return TURN_LEFT if left else TURN_RIGHT
-        self._steps -= 1
-        if clearance(complex(2 * STEP), self._others(touched=False)) < TOUCH + 0.01:
-            self._steps = 0
-            return TURN_LEFT
-        return FORWARD
+    def _walk(self, goal: complex) -> int:
+        """The next action of the walk to a goal, which is given up where it is reached or not free."""
+        way = (goal - self._here) / self._ahead
+        if abs(way) <= NEAR:
+            self._looked = 0
+        elif clearance(way, self._others(touched=True)) >= TOUCH + 0.01:
+            return centring(cmath.phase(way))
+        self._goal = None
+        return TURN_LEFT
 
     def _hidden(self) -> list[complex]:
-        """Places where the target may be: behind the flags in sight, within the walls."""
+        """Places where the target may be: behind the flags that were seen, within the walls."""
         scene, found = cast(TwoFlagsEnv, self._world).scene, []
         for flag in self._others(touched=True):
             way = cmath.phase(flag)
@@ -127,7 +143,7 @@ class SearchingTeacher:
         return found
 
     def _plan(self, targets: Sequence[complex]) -> None:
-        """Choose a walk after which most of `targets` are seen and can be walked to, and the shortest such."""
+        """Choose a goal from which most of `targets` are seen and can be walked to, the nearest such."""
         scene, flags = cast(TwoFlagsEnv, self._world).scene, self._others(touched=True)
         best = (-1, -math.inf)
         for look in range(LOOKS):
@@ -141,7 +157,7 @@ class SearchingTeacher:
                 cost = abs(way) / TURN + walk / STEP + min((_look(end, at) for at in seen), default=0.0)
                 if (len(seen), -cost) > best:
                     best = (len(seen), -cost)
-                    self._turns, self._steps = round(way / TURN), round(walk / STEP)
+                    self._goal = self._here + end * self._ahead
 
     def _good(self, end: complex, target: complex, flags: Sequence[complex]) -> bool:
         """Whether the target, if it is there, is seen from `end` and can be walked to."""
