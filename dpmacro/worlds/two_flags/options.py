@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 __all__ = ["PIXELS", "WIDEST", "FourFlagsConfig", "SixFlagsConfig", "TwoFlagsConfig"]
 
@@ -69,7 +69,7 @@ class TwoFlagsConfig:
                 raise ValueError(f"{self.world}: {name} is {getattr(self, name)!r}: {remedy}")
 
     @classmethod
-    def of(cls, options: Mapping[str, Any]) -> Self:
+    def of(cls, options: Mapping[str, Any]) -> "TwoFlagsConfig":
         """These options, and defaults for those not given. Lists stand for tuples, as in a JSON file.
 
         Raises ValueError for an option that is unknown or unfit.
