@@ -19,7 +19,8 @@ WIDEST = FIELD_OF_VIEW / 2 - math.radians(3)  # off the target, which stays in v
 LOOKS = 48  # directions that it tells apart
 WALKS = (0.9, 1.5, 2.5, 4.0)  # metres
 BEHIND = (1.5, 3.0, 6.0)  # metres behind a flag, where another may stand
-AHEAD = 1.0  # metres
+AHEAD = 1.0  # metres of the way ahead that must be clear
+NEARBY = 1.0  # metres within which it looks from one and the same place
 NEAR = 0.1  # metres from a goal that is reached
 
 
@@ -91,7 +92,7 @@ class SearchingTeacher:
 
     def _has_looked_round(self) -> bool:
         """Note where it looks; whether it has looked everywhere from about here."""
-        if not self._looked or abs(self._here - self._looked_from) > AHEAD:
+        if not self._looked or abs(self._here - self._looked_from) > NEARBY:
             self._looked, self._looked_from = 0, self._here
         turned = cmath.phase(self._ahead) % (2 * math.pi) / (2 * math.pi)
         self._looked |= 1 << min(int(turned * LOOKS), LOOKS - 1)
