@@ -39,8 +39,9 @@ class SearchingTeacher:
 
     def __init__(self) -> None:
         self._world: TwoFlagsEnv | None = None
-        self._begin(0)
         self._seen: frozenset[str] = frozenset()
+        self._goal: complex | None = None  # in the room's coordinates
+        self._begin(0)
 
     @property
     def memory(self) -> Hashable:
@@ -76,9 +77,8 @@ class SearchingTeacher:
         return TURN_LEFT if self._goal is None else self._walk(self._goal)
 
     def _begin(self, phase: int) -> None:
-        self._phase, self._looked = phase, 0
-        self._looked_from = 0j
-        self._goal: complex | None = None  # in the room's coordinates
+        self._phase, self._looked, self._looked_from = phase, 0, 0j
+        self._goal = None
 
     @property
     def _here(self) -> complex:
