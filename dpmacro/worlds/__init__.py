@@ -32,12 +32,13 @@ DEFAULT = "TwoFlags-v0"
 """The world that runs where nothing names one."""
 
 # The environments truncate themselves and guard the order of their calls, so they need none of the wrappers.
-gym.register(
-    id=DEFAULT,
-    entry_point="dpmacro.worlds.two_flags.env:TwoFlagsEnv",
-    order_enforce=False,
-    disable_env_checker=True,
-)
+for _count in ("Two", "Four", "Six"):
+    gym.register(
+        id=f"{_count}Flags-v0",
+        entry_point=f"dpmacro.worlds.two_flags.env:{_count}FlagsEnv",
+        order_enforce=False,
+        disable_env_checker=True,
+    )
 for _task in TASKS:
     gym.register(
         id=FAMILY + _task,
@@ -58,13 +59,17 @@ for _world, _buttons in (("TwoButtons-v0", True), ("TwoGoals-v0", False)):
 
 DIAGNOSES = {
     DEFAULT: "dpmacro.worlds.two_flags.diagnosis:TwoFlagsDiagnosis",
+    "FourFlags-v0": "dpmacro.worlds.two_flags.diagnosis:FourFlagsDiagnosis",
+    "SixFlags-v0": "dpmacro.worlds.two_flags.diagnosis:SixFlagsDiagnosis",
     "TwoButtons-v0": "dpmacro.worlds.two_places:TwoPlacesDiagnosis",
     "TwoGoals-v0": "dpmacro.worlds.two_places:TwoPlacesDiagnosis",
 }
 """From a world's gymnasium id to the class of its `Diagnosis`, as gymnasium writes entry points."""
 
 EXPERTS = {
-    DEFAULT: "dpmacro.worlds.two_flags.teacher:Teacher",
+    DEFAULT: "dpmacro.worlds.two_flags.experts:FlagsExpert",
+    "FourFlags-v0": "dpmacro.worlds.two_flags.experts:FlagsExpert",
+    "SixFlags-v0": "dpmacro.worlds.two_flags.experts:FlagsExpert",
     FAMILY: "dpmacro.worlds.metaworld:ScriptedExpert",
     "BabyAI-": "dpmacro.worlds.babyai:Bot",
     "TwoButtons-v0": "dpmacro.worlds.two_places:Expert",
@@ -74,6 +79,8 @@ EXPERTS = {
 
 RECORDINGS = {
     DEFAULT: "dpmacro.worlds.two_flags.recording:recording",
+    "FourFlags-v0": "dpmacro.worlds.two_flags.recording:recording",
+    "SixFlags-v0": "dpmacro.worlds.two_flags.recording:recording",
     FAMILY: "dpmacro.worlds.metaworld:recording",
     "BabyAI-": "dpmacro.worlds.babyai:recording",
     "TwoButtons-v0": "dpmacro.worlds.two_places:recording",
@@ -85,7 +92,9 @@ MAKERS = {"BabyAI-": "dpmacro.worlds.babyai:make"}
 """Likewise to what makes the environment in place of `gymnasium.make`, called as that is."""
 
 OPTIONS = {
-    DEFAULT: "dpmacro.worlds.two_flags.env:complete_options",
+    DEFAULT: "dpmacro.worlds.two_flags.options:TwoFlagsConfig.complete",
+    "FourFlags-v0": "dpmacro.worlds.two_flags.options:FourFlagsConfig.complete",
+    "SixFlags-v0": "dpmacro.worlds.two_flags.options:SixFlagsConfig.complete",
     FAMILY: "dpmacro.worlds.metaworld:complete_options",
 }
 """Likewise to a function from some of the world's options, by name, to all of them, checked."""

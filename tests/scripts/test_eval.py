@@ -28,7 +28,8 @@ from dpmacro.worlds.two_flags.env import ACTIONS
 from tests.utils.test_hparams import row
 
 SCRIPT = Path(__file__).parents[2] / "eval.py"
-WORLD = {"id": "TwoFlags-v0", "flags": "fixed", "layout_seed": 3, "max_steps": 60, "render_size": [64, 48]}
+FIXED = {"flags": "fixed", "layout_seed": 3, "textures": "fixed", "start": "fixed", "start_spread": 0.1}
+WORLD = {"id": "TwoFlags-v0", **FIXED, "teacher": "searching", "max_steps": 60, "render_size": [64, 48]}
 SHORT = ["--world.max_steps=60", "--world.render_size=[64,48]"]
 
 

@@ -72,6 +72,13 @@ def test_a_run_ends_where_the_teacher_turns_in_circles_too(tmp_path):
     assert (lost.run.truth["phase"] == 0).all()
 
 
+def test_the_teacher_that_the_world_names_is_asked(tmp_path):
+    """The searching teacher finds the flag that is hidden, from wherever the planner leaves it."""
+    found = visit(stubborn(tmp_path, TURN_RIGHT), {**WORLD, "teacher": "searching"}, INPUTS, HIDDEN_SEED)
+    assert (found.run.truth["phase"] == 1).any() and found.taught.any()
+    assert FORWARD in found.run.actions[found.taught]
+
+
 def test_runs_do_not_depend_on_the_number_of_processes(tmp_path):
     source, world = stubborn(tmp_path, FORWARD), {**WORLD, "max_steps": 40}
     runs = [[one.run for one in gather(source, world, INPUTS, range(3), workers)] for workers in (1, 2)]

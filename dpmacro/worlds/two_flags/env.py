@@ -1,16 +1,39 @@
-"""TwoFlags-v0: reach the blue flag, then the red one, seeing only what the avatar sees."""
+"""TwoFlags-v0: reach the blue flag, then the red one, seeing only what the avatar sees.
+
+FourFlags-v0 and SixFlags-v0 are the same room with more flags, to be reached in the order of `scene.FLAGS`.
+"""
 
 import math
-from collections.abc import Hashable, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Hashable
+from itertools import combinations
+from typing import Any, ClassVar
 
 import cv2
 import gymnasium as gym
 import numpy as np
 from jaxtyping import UInt8
 
-from dpmacro.worlds.two_flags.scene import AVATAR_RADIUS, FLAG_RADIUS, SURFACES, Layout, Scene
+from dpmacro.worlds.two_flags.options import PIXELS, FourFlagsConfig, SixFlagsConfig, TwoFlagsConfig
+from dpmacro.worlds.two_flags.scene import AVATAR_RADIUS, FLAG_RADIUS, FLAGS, SURFACES, Layout, Scene
+
+__all__ = [
+    "ACTIONS",
+    "FORWARD",
+    "FPS",
+    "PIXELS",
+    "STEP",
+    "TURN",
+    "TURN_LEFT",
+    "TURN_RIGHT",
+    "VIEW",
+    "WHOLE_TURN",
+    "FourFlagsEnv",
+    "SixFlagsEnv",
+    "TwoFlagsConfig",
+    "TwoFlagsEnv",
+    "draw_layout",
+    "draw_start",
+]
 
 FPS = 30
 ACTIONS = ("forward", "turn_left", "turn_right")
@@ -18,9 +41,7 @@ FORWARD, TURN_LEFT, TURN_RIGHT = range(3)
 STEP = 0.03
 TURN = math.pi / 300
 WHOLE_TURN = 600  # turns
-PIXELS = (64, 48)
 VIEW = (320, 240)
-WIDEST = 4096  # of what is rendered, 48 MiB with all that belongs to it
 SIDES = (5.0, 20.0)
 
 _GAP = 0.1
@@ -29,105 +50,55 @@ _FLAG_TO_WALL = FLAG_RADIUS + 2 * AVATAR_RADIUS + _GAP
 _FLAG_TO_FLAG = 2 * FLAG_RADIUS + 2 * AVATAR_RADIUS + _GAP
 _START_TO_WALL = AVATAR_RADIUS + _GAP
 _START_TO_FLAG = AVATAR_RADIUS + FLAG_RADIUS + _GAP
-
-
-@dataclass(frozen=True)
-class TwoFlagsConfig:
-    """Options of `TwoFlagsEnv`; a value out of range raises ValueError."""
-
-    flags: str = "random"
-    """Whether every episode draws its room and flags ("random") or all share one layout ("fixed")."""
-    layout_seed: int = 0
-    """Seed of the one layout that flags="fixed" keeps; the episode's seed does not change it."""
-    yaw_noise: float = 0.5
-    """Standard deviation, in degrees, of the random turn after every forward step."""
-    render_size: tuple[int, int] = (128, 96)
-    """Width and height, in pixels, of the picture that is area-downscaled to the 64x48 observation."""
-    max_steps: int = 3000
-    """Steps after which an episode is truncated."""
-    renderer: str = "tiny"
-    """PyBullet's software renderer ("tiny") or its EGL plugin ("egl"), which needs a graphics driver."""
-
-    def __post_init__(self) -> None:
-        width, height = self.render_size if len(self.render_size) == 2 else (0, 0)
-        for ok, name, remedy in (
-            (self.flags in ("random", "fixed"), "flags", "choose 'random' or 'fixed'"),
-            (self.layout_seed >= 0, "layout_seed", "give a seed of 0 or more"),
-            (0 <= self.yaw_noise < math.inf, "yaw_noise", "give degrees, 0 or more and finite"),
-            (
-                PIXELS[0] <= width <= WIDEST and width * PIXELS[1] == height * PIXELS[0],
-                "render_size",
-                f"give a width and height in the ratio 4:3, from (64, 48) to ({WIDEST}, {WIDEST * 3 // 4})",
-            ),
-            (self.max_steps >= 1, "max_steps", "give 1 or more"),
-            (self.renderer in ("tiny", "egl"), "renderer", "choose 'tiny' or 'egl'"),
-        ):
-            if not ok:
-                raise ValueError(f"TwoFlags: {name} is {getattr(self, name)!r}: {remedy}")
-
-
-def complete_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """All options of the world, those not given as they are by default.
-
-    Lists stand for tuples, as in a JSON file. Raises ValueError for one that is unknown or unfit.
-    """
-    unknown = sorted(set(options) - set(_DEFAULTS))
-    if unknown:
-        raise ValueError(f"TwoFlags has no option {unknown[0]!r}: choose among {', '.join(_DEFAULTS)}")
-    given: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in options.items()
-    }
-    for name, value in given.items():
-        default = _DEFAULTS[name]
-        alike = isinstance(value, tuple) == isinstance(default, tuple)
-        kind = {tuple: int, float: int | float}.get(type(default), type(default))
-        parts = value if isinstance(value, tuple) else (value,)
-        if not alike or not all(isinstance(part, kind) and not isinstance(part, bool) for part in parts):
-            raise ValueError(f"TwoFlags: {name} is {value!r}: give a value like {default!r}")
-        if isinstance(default, float):
-            given[name] = float(value)
-    return asdict(TwoFlagsConfig(**given))
-
-
-_DEFAULTS = asdict(TwoFlagsConfig())
+_TRIES = 1000
+_TEXTURES, _START = 1, 2  # what `layout_seed` draws beside the layout
 
 
 class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
-    """A square room with a blue and a red flag, seen through an avatar's eyes.
+    """A square room with flags to be reached in order, seen through an avatar's eyes: blue, then red.
 
     Actions are `ACTIONS`: forward 3 cm, turn left or right by pi/300. The observation is
-    {"pixels": uint8 [48, 64, 3]}, RGB. The reward is 1 for reaching the blue flag, 1 for reaching the
-    red one after it, and 0 otherwise. An episode terminates when red is reached: as a success after
-    blue, as a failure before. It is truncated after `config.max_steps` steps.
+    {"pixels": uint8 [48, 64, 3]}, RGB. The reward is 1 for reaching the flag whose turn it is, and 0
+    otherwise. An episode terminates as a success when the last flag is reached after all others, and as a
+    failure when a flag is reached before its turn. A flag that was reached may be touched again. Nothing
+    that is seen tells which flags were reached. An episode is truncated after `config.max_steps` steps.
 
     A flag is reached when Bullet finds the avatar's step to run into the flag's body.
 
-    `info`, for tests and the teacher but no planner, holds `phase` (0, or 1 once blue was reached),
-    `is_success` (bool), `failure` ("red_first" or ""), `position` (x, y in metres from the room's
-    centre, float64 [2]) and `heading` (radians from the x axis, counter-clockwise, in [-pi, pi)), and
+    `info`, for tests and the teacher but no planner, holds `phase` (the number of flags reached, but for
+    the last: 0, or 1 once blue was reached), `is_success` (bool), `failure` ("red_first", or as for red for
+    the flag that was reached before its turn; else ""), `position` (x, y in metres from the room's centre,
+    float64 [2]) and `heading` (radians from the x axis, counter-clockwise, in [-pi, pi)), and
     `state`, hashable: where it is the same at two moments of an episode, the same actions lead to the same
     from there on, until truncation. It holds the forward steps taken (without yaw noise, the position), the
     turns modulo a whole one, and the phase. Turns add up in floating point: after a whole one the heading
     differs by about 1e-13 radians, and `state` ignores that.
 
-    Attributes: `config`, `scene`, and the `layout` of the current episode.
+    Textures and start that are fixed are drawn by `config.layout_seed`. What the episode would draw is drawn
+    all the same: episodes of one seed have the same yaw noise whatever is fixed.
+
+    Attributes: `config`, `scene`, the names of its `flags` in the order of their turns, and the `layout` of
+    the current episode.
 
     Args:
         render_mode: None or "rgb_array".
-        options: the fields of `TwoFlagsConfig`. Unknown or unfit ones raise ValueError.
+        options: the fields of `options_type`. Unknown or unfit ones raise ValueError.
     """
 
+    options_type: ClassVar[type[TwoFlagsConfig]] = TwoFlagsConfig
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012  gymnasium's own way
 
     def __init__(self, render_mode: str | None = None, **options: Any):
+        name = self.options_type.world
         if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"TwoFlags: render_mode is {render_mode!r}: choose None or 'rgb_array'")
-        self.config = TwoFlagsConfig(**complete_options(options))
+            raise ValueError(f"{name}: render_mode is {render_mode!r}: choose None or 'rgb_array'")
+        self.config = self.options_type.of(options)
+        self.flags = FLAGS[: self.config.count]
         self.render_mode = render_mode
         self.action_space = gym.spaces.Discrete(len(ACTIONS))
         pixels = gym.spaces.Box(0, 255, (PIXELS[1], PIXELS[0], 3), np.uint8)
         self.observation_space = gym.spaces.Dict({"pixels": pixels})
-        self.scene = Scene(self.config.renderer)
+        self.scene = Scene(self.config.renderer, self.config.count)
         self._running = False
 
     def reset(
@@ -142,18 +113,21 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         given = dict(options or {})
         layout, start = given.pop("layout", None), given.pop("start", None)
         if given:
-            raise ValueError(f"TwoFlags: reset has no option {min(given)!r}: choose among layout, start")
+            raise ValueError(
+                f"{self.config.world}: reset has no option {min(given)!r}: choose among layout, start"
+            )
         if layout is None and self.config.flags == "random":
-            layout = draw_layout(self.np_random)
+            layout = draw_layout(self.np_random, self.config.count)
         elif layout is None:
-            layout = draw_layout(np.random.default_rng(self.config.layout_seed))
-        surfaces = self.np_random.choice(self.scene.texture_count, SURFACES, replace=False)
+            layout = draw_layout(np.random.default_rng(self.config.layout_seed), self.config.count)
         self.layout = layout
-        self.scene.arrange(layout, surfaces.tolist())
-        x, y, heading = draw_start(self.np_random, layout) if start is None else start
+        self.scene.arrange(layout, self._surfaces())
+        x, y, heading = self._start() if start is None else start
         self.scene.put_avatar(np.array([x, y]), heading)
         if not self.scene.free():
-            raise ValueError(f"TwoFlags: start {(x, y)} lies in a wall or flag of {layout}: give a free one")
+            raise ValueError(
+                f"{self.config.world}: start {(x, y)} lies in a wall or flag of {layout}: give a free one"
+            )
         self._phase, self._failure, self._success = 0, "", False
         self._steps = self._walked = self._turned = 0
         self._running = True
@@ -167,9 +141,13 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         Raises ValueError for an action that is none, and gymnasium's ResetNeeded outside an episode.
         """
         if not self._running:
-            raise gym.error.ResetNeeded("TwoFlags: the episode is over or never began: call reset first")
+            raise gym.error.ResetNeeded(
+                f"{self.config.world}: the episode is over or never began: call reset first"
+            )
         if not 0 <= action < len(ACTIONS):
-            raise ValueError(f"TwoFlags: action is {action}: choose 0 (forward), 1 (left) or 2 (right)")
+            raise ValueError(
+                f"{self.config.world}: action is {action}: choose 0 (forward), 1 (left) or 2 (right)"
+            )
         reward = 0.0
         if action == FORWARD:
             reward = self._reach(self.scene.forward(STEP))
@@ -198,15 +176,34 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         self.scene.close()
         self._running = False
 
+    def _surfaces(self) -> list[int]:
+        """The textures of four walls and the ground."""
+        drawn = _draw_surfaces(self.np_random, self.scene.texture_count)
+        if self.config.textures == "random":
+            return drawn
+        return _draw_surfaces(self._fixed(_TEXTURES), self.scene.texture_count)
+
+    def _start(self) -> tuple[float, float, float]:
+        """Where the avatar starts: x, y (metres) and heading (radians)."""
+        drawn = draw_start(self.np_random, self.layout)
+        if self.config.start == "random":
+            return drawn
+        x, y, heading = draw_start(self._fixed(_START), self.layout)
+        return x, y, heading + self.config.start_spread * drawn[-1] / math.pi
+
+    def _fixed(self, what: int) -> np.random.Generator:
+        """What draws one of the things that stay fixed, each independently of the others."""
+        return np.random.default_rng((self.config.layout_seed, what))
+
     def _reach(self, flag: str) -> float:
-        if flag == "blue" and self._phase == 0:
-            self._phase = 1
-            return 1.0
-        if flag == "red":
-            self._success = self._phase == 1
-            self._failure = "" if self._success else "red_first"
-            return float(self._success)
-        return 0.0
+        place = self.flags.index(flag) if flag else -1
+        if place > self._phase:
+            self._failure = f"{flag}_first"
+        if place != self._phase:
+            return 0.0
+        self._success = place == len(self.flags) - 1
+        self._phase += not self._success
+        return 1.0
 
     def _observation(self) -> dict[str, UInt8[np.ndarray, "48 64 3"]]:
         pixels = self.view(*self.config.render_size)
@@ -231,14 +228,32 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
         return place, self._turned, self._phase
 
 
-def draw_layout(rng: np.random.Generator) -> Layout:
-    """Draw a room and two flags in it, with room for the avatar on every side of both."""
-    side = rng.uniform(*SIDES)
-    reach = side / 2 - _FLAG_TO_WALL
+class FourFlagsEnv(TwoFlagsEnv):
+    """The same room with four flags: blue, red, green, yellow."""
+
+    options_type = FourFlagsConfig
+
+
+class SixFlagsEnv(TwoFlagsEnv):
+    """The same room with six flags: blue, red, green, yellow, magenta, cyan."""
+
+    options_type = SixFlagsConfig
+
+
+def draw_layout(rng: np.random.Generator, count: int = 2) -> Layout:
+    """Draw a room and `count` flags in it, with room for the avatar on every side of each.
+
+    The smallest rooms have no room for six flags: where `_TRIES` draws of all flags fail, another room is
+    drawn.
+    """
     while True:
-        blue, red = rng.uniform(-reach, reach, (2, 2))
-        if math.dist(blue, red) >= _FLAG_TO_FLAG:
-            return Layout(side, (float(blue[0]), float(blue[1])), (float(red[0]), float(red[1])))
+        side = rng.uniform(*SIDES)
+        reach = side / 2 - _FLAG_TO_WALL
+        for _ in range(_TRIES):
+            flags = rng.uniform(-reach, reach, (count, 2)).tolist()
+            if all(math.dist(*pair) >= _FLAG_TO_FLAG for pair in combinations(flags, 2)):
+                blue, red, *others = ((x, y) for x, y in flags)
+                return Layout(side, blue, red, tuple(others))
 
 
 def draw_start(rng: np.random.Generator, layout: Layout) -> tuple[float, float, float]:
@@ -246,5 +261,9 @@ def draw_start(rng: np.random.Generator, layout: Layout) -> tuple[float, float, 
     reach = layout.side / 2 - _START_TO_WALL
     while True:
         x, y = rng.uniform(-reach, reach, 2).tolist()
-        if min(math.dist((x, y), layout.blue), math.dist((x, y), layout.red)) >= _START_TO_FLAG:
+        if min(math.dist((x, y), flag) for flag in layout.flags) >= _START_TO_FLAG:
             return x, y, rng.uniform(-math.pi, math.pi)
+
+
+def _draw_surfaces(rng: np.random.Generator, textures: int) -> list[int]:
+    return rng.choice(textures, SURFACES, replace=False).tolist()

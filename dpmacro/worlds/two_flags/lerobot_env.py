@@ -1,9 +1,9 @@
-"""TwoFlags as an environment of LeRobot's programs: `--env.type=two_flags`."""
+"""TwoFlags and its like in LeRobot's programs: `--env.type=two_flags`, `four_flags` or `six_flags`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -13,19 +13,31 @@ from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION
 
 from dpmacro.worlds import recording_of
-from dpmacro.worlds.two_flags.env import ACTIONS, PIXELS, VIEW, TwoFlagsConfig, TwoFlagsEnv
+from dpmacro.worlds.two_flags.env import ACTIONS, PIXELS, VIEW, TwoFlagsEnv
+from dpmacro.worlds.two_flags.options import FourFlagsConfig, SixFlagsConfig, TwoFlagsConfig
 
-__all__ = ["GYM_ID", "LeRobotTwoFlags", "TwoFlagsEnvConfig"]
+__all__ = [
+    "GYM_ID",
+    "FourFlagsEnvConfig",
+    "LeRobotFourFlags",
+    "LeRobotSixFlags",
+    "LeRobotTwoFlags",
+    "SixFlagsEnvConfig",
+    "TwoFlagsEnvConfig",
+]
 
 GYM_ID = "dpmacro/TwoFlags-v0"
 TASK = recording_of("TwoFlags-v0").task
 FPS: Any = TwoFlagsEnv.metadata["render_fps"]
 CAMERA = "avatar"  # as recorded demonstrations name it
 NEW_ROLLOUT = "lerobot_new_rollout"  # an option that LeRobot 0.6 gives to every reset
-OPTIONS = ("flags", "layout_seed", "yaw_noise", "render_size", "max_steps", "renderer")
+OPTIONS = tuple(option.name for option in fields(TwoFlagsConfig))
 
 # LeRobot asks the environment itself for its task and its number of steps, which no wrapper hands on.
-gym.register(GYM_ID, f"{__name__}:LeRobotTwoFlags", order_enforce=False, disable_env_checker=True)
+for _world in ("TwoFlags", "FourFlags", "SixFlags"):
+    gym.register(
+        f"dpmacro/{_world}-v0", f"{__name__}:LeRobot{_world}", order_enforce=False, disable_env_checker=True
+    )
 
 
 class LeRobotTwoFlags(TwoFlagsEnv):
@@ -63,8 +75,8 @@ class LeRobotTwoFlags(TwoFlagsEnv):
         numbers = np.asarray(action, np.float64)
         if numbers.shape != (len(ACTIONS),) or not np.isfinite(numbers).all():
             raise ValueError(
-                f"TwoFlags: action is {action}: give {len(ACTIONS)} finite numbers, one for each of "
-                f"{', '.join(ACTIONS)}"
+                f"{self.config.world}: action is {action}: give {len(ACTIONS)} finite numbers, one for each "
+                f"of {', '.join(ACTIONS)}"
             )
         observation, reward, terminated, truncated, info = super().step(int(numbers.argmax()))
         return self._observed(observation), reward, terminated, truncated, _told(info)
@@ -82,15 +94,31 @@ def _told(info: Mapping[str, Any]) -> dict[str, Any]:
     return {name: info[name] for name in ("is_success", "phase", "failure")}
 
 
-def make_two_flags(options: Mapping[str, Any]) -> gym.Env:
+class LeRobotFourFlags(LeRobotTwoFlags):
+    """FourFlags-v0 likewise."""
+
+    options_type = FourFlagsConfig
+    task = task_description = recording_of("FourFlags-v0").task
+
+
+class LeRobotSixFlags(LeRobotTwoFlags):
+    """SixFlags-v0 likewise."""
+
+    options_type = SixFlagsConfig
+    task = task_description = recording_of("SixFlags-v0").task
+
+
+def make_flags(world: str, options: Mapping[str, Any]) -> gym.Env:
     """One world; another process that unpickles this function registers it first."""
-    return gym.make(GYM_ID, **options)
+    return gym.make(world, **options)
 
 
 @EnvConfig.register_subclass("two_flags")
 @dataclass
 class TwoFlagsEnvConfig(EnvConfig):
     """Options of `--env.type=two_flags`: those of TwoFlags-v0, with its defaults."""
+
+    options_type: ClassVar[type[TwoFlagsConfig]] = TwoFlagsConfig
 
     task: str | None = TASK
     fps: int = FPS
@@ -105,13 +133,17 @@ class TwoFlagsEnvConfig(EnvConfig):
     )
     flags: str = TwoFlagsConfig.flags
     layout_seed: int = TwoFlagsConfig.layout_seed
+    textures: str = TwoFlagsConfig.textures
+    start: str = TwoFlagsConfig.start
+    start_spread: float = TwoFlagsConfig.start_spread
+    teacher: str = TwoFlagsConfig.teacher
     yaw_noise: float = TwoFlagsConfig.yaw_noise
     render_size: tuple[int, int] = TwoFlagsConfig.render_size
     max_steps: int = TwoFlagsConfig.max_steps
     renderer: str = TwoFlagsConfig.renderer
 
     def __post_init__(self) -> None:
-        TwoFlagsConfig(**{name: getattr(self, name) for name in OPTIONS})
+        self.options_type(**{name: getattr(self, name) for name in OPTIONS})
 
     @property
     def package_name(self) -> str:
@@ -121,7 +153,7 @@ class TwoFlagsEnvConfig(EnvConfig):
     @property
     def gym_id(self) -> str:
         """Gymnasium's name of it."""
-        return GYM_ID
+        return f"dpmacro/{self.options_type.world}-v0"
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
@@ -129,14 +161,36 @@ class TwoFlagsEnvConfig(EnvConfig):
         return {"render_mode": "rgb_array", **{name: getattr(self, name) for name in OPTIONS}}
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, Any]]:
-        """Return {"two_flags": {0: `n_envs` worlds}}; LeRobot 0.6 asks for them here, and 0.4 makes its own.
+        """Return {the type: {0: `n_envs` worlds}}; LeRobot 0.6 asks for them here, and 0.4 makes its own.
 
         LeRobot's own function makes worlds in processes that have not registered any.
         """
-        makers = [partial(make_two_flags, self.gym_kwargs)] * n_envs
+        makers = [partial(make_flags, self.gym_id, self.gym_kwargs)] * n_envs
         same_step = gym.vector.AutoresetMode.SAME_STEP
         if use_async_envs and n_envs > 1:
             worlds: Any = gym.vector.AsyncVectorEnv(makers, context="forkserver", autoreset_mode=same_step)
         else:
             worlds = gym.vector.SyncVectorEnv(makers, autoreset_mode=same_step)
         return {self.type: {0: worlds}}
+
+
+@EnvConfig.register_subclass("four_flags")
+@dataclass
+class FourFlagsEnvConfig(TwoFlagsEnvConfig):
+    """Options of `--env.type=four_flags`: those of FourFlags-v0, with its defaults."""
+
+    options_type: ClassVar[type[TwoFlagsConfig]] = FourFlagsConfig
+
+    task: str | None = LeRobotFourFlags.task
+    max_steps: int = FourFlagsConfig.max_steps
+
+
+@EnvConfig.register_subclass("six_flags")
+@dataclass
+class SixFlagsEnvConfig(TwoFlagsEnvConfig):
+    """Options of `--env.type=six_flags`: those of SixFlags-v0, with its defaults."""
+
+    options_type: ClassVar[type[TwoFlagsConfig]] = SixFlagsConfig
+
+    task: str | None = LeRobotSixFlags.task
+    max_steps: int = SixFlagsConfig.max_steps

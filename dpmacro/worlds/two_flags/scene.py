@@ -1,4 +1,4 @@
-"""The room, the two flags and the avatar in PyBullet: collision, motion, visibility and pictures."""
+"""The room, its flags and the avatar in PyBullet: collision, motion, visibility and pictures."""
 
 import math
 from collections.abc import Sequence
@@ -26,7 +26,17 @@ _LARGEST_SIDE = 20.0
 _NODES = np.linspace(-_LARGEST_SIDE / 2 - 1, _LARGEST_SIDE / 2 + 1, 7)
 _WALL_THICKNESS = 0.5
 _TEXTURE_METRES = 3.0
-_COLOURS = {"blue": (0.05, 0.15, 1.0, 1.0), "red": (1.0, 0.08, 0.08, 1.0)}
+_COLOURS = {
+    "blue": (0.05, 0.15, 1.0, 1.0),
+    "red": (1.0, 0.08, 0.08, 1.0),
+    "green": (0.05, 0.8, 0.1, 1.0),
+    "yellow": (1.0, 0.85, 0.05, 1.0),
+    "magenta": (1.0, 0.05, 0.9, 1.0),
+    "cyan": (0.05, 0.9, 0.95, 1.0),
+}
+_HUES = (2 / 3, 0.0, 1 / 3, 1 / 6, 5 / 6, 1 / 2)
+FLAGS = tuple(_COLOURS)
+"""Names of the flags in the order of their turns."""
 _ROUND = circle(FLAG_RADIUS, 24)
 _NEAR, _FAR = 0.05, 40.0
 _CLEARANCE = 1e-4
@@ -47,6 +57,13 @@ class Layout:
     """Centre of the blue flag, metres."""
     red: tuple[float, float]
     """Centre of the red flag, metres."""
+    others: tuple[tuple[float, float], ...] = ()
+    """Centres of further flags in the order of `FLAGS`, metres."""
+
+    @property
+    def flags(self) -> tuple[tuple[float, float], ...]:
+        """Centres of all flags in the order of `FLAGS`, metres."""
+        return self.blue, self.red, *self.others
 
     def __post_init__(self) -> None:
         if not 0 < self.side <= _LARGEST_SIDE:
@@ -54,21 +71,21 @@ class Layout:
 
 
 class Scene:
-    """One PyBullet client with four walls, a ground, two flags and an avatar.
+    """One PyBullet client with four walls, a ground, the first `count` of `FLAGS` and an avatar.
 
     Headings are radians, counter-clockwise from the x axis, in [-pi, pi). Raises ValueError if
     `renderer` is "egl" and PyBullet's EGL plugin cannot be loaded.
     """
 
-    def __init__(self, renderer: str = "tiny"):
+    def __init__(self, renderer: str = "tiny", count: int = 2):
         self._client = pybullet.connect(pybullet.DIRECT)
         self._renderer = pybullet.ER_TINY_RENDERER
         if renderer == "egl":
             self._use_egl()
-        self._textures = load_textures(textures(), self._client)
+        self._textures = load_textures(textures(_HUES[:count]), self._client)
         self.texture_count = len(self._textures)
         # Bodies are drawn in the order of their making, and a hidden pixel costs less than one drawn over.
-        self._flags = {name: self._flag(colour) for name, colour in _COLOURS.items()}
+        self._flags = {name: self._flag(_COLOURS[name]) for name in FLAGS[:count]}
         box = self._collision(
             pybullet.GEOM_BOX,
             halfExtents=(_NODES[-1], _WALL_THICKNESS / 2, WALL_HEIGHT / 2),
@@ -90,7 +107,12 @@ class Scene:
         self.heading = 0.0
 
     def arrange(self, layout: Layout, surfaces: Sequence[int]) -> None:
-        """Move walls and flags to `layout`; `surfaces` are textures of four walls and the ground."""
+        """Move walls and flags to `layout`; `surfaces` are textures of four walls and the ground.
+
+        Raises ValueError for a layout of another number of flags.
+        """
+        if len(layout.flags) != len(self._flags):
+            raise ValueError(f"layout: it has {len(layout.flags)} flags: give one of {len(self._flags)}")
         corners: list[np.ndarray] = [np.stack(np.meshgrid(_NODES, _NODES), axis=-1).reshape(-1, 2)]
         for number, body in enumerate(self._walls):
             angle = number * math.pi / 2
@@ -98,9 +120,10 @@ class Scene:
             middle = np.array([along[1], -along[0]]) * layout.side / 2
             self._move(body, (*middle, 0.0), angle)
             corners.append(middle + np.outer(_NODES, along))
-        self._move(self._flags["blue"], (*layout.blue, 0.0))
-        self._move(self._flags["red"], (*layout.red, 0.0))
-        self._positions = {"blue": np.array(layout.blue), "red": np.array(layout.red)}
+        self._side = layout.side
+        self._positions = {name: np.array(at) for name, at in zip(self._flags, layout.flags, strict=True)}
+        for name, at in self._positions.items():
+            self._move(self._flags[name], (*at, 0.0))
         self._corners = np.concatenate([*corners, *(_ROUND + at for at in self._positions.values())])
         for body, texture in zip([*self._walls, self._ground], surfaces, strict=True):
             pybullet.changeVisualShape(
@@ -147,8 +170,21 @@ class Scene:
         dx, dy = self._positions[flag] - self.position
         return _wrapped(math.atan2(dy, dx) - self.heading)
 
+    def distance(self, flag: str) -> float:
+        """Return the metres from the avatar's middle to the flag's."""
+        return math.dist(self.position, self._positions[flag])
+
+    def to_wall(self, angle: float) -> float:
+        """Return the metres that the avatar can walk after a turn by `angle` before it touches a wall."""
+        ways = (math.cos(self.heading + angle), math.sin(self.heading + angle))
+        reach = self._side / 2 - AVATAR_RADIUS
+        return min(
+            (reach - math.copysign(1.0, way) * at) / abs(way) if way else math.inf
+            for way, at in zip(ways, self.position.tolist(), strict=True)
+        )
+
     def visible(self, flag: str) -> bool:
-        """Return whether the flag's centre is in the field of view and not all of it behind the other.
+        """Return whether the flag's centre is in the field of view and not all of it behind others.
 
         Five rays go from the eye across the flag's width; the flag is seen if one hits it first.
         """

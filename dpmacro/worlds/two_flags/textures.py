@@ -1,7 +1,7 @@
 """Procedural textures for walls and ground: the same set for everybody, made from one constant seed."""
 
 import colorsys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -14,11 +14,12 @@ Map = Float[np.ndarray, "size size"]
 Pattern = Callable[[np.random.Generator, np.ndarray, np.ndarray], np.ndarray]
 
 
-def textures() -> list[UInt8[np.ndarray, "size size 3"]]:
+def textures(hues: Sequence[float] = (0.0, 2 / 3)) -> list[UInt8[np.ndarray, "size size 3"]]:
     """Return the texture set: `VARIANTS` of every pattern, RGB, `SIZE` pixels square, seamless when tiled.
 
-    No colour in it is a saturated red or blue (the greatest channel, if red or blue, stays below 1.8
-    times the next), so that no surface looks like a flag.
+    The patterns are always the same. Colours are greyer the nearer they are to one of `hues`, those of the
+    flags, each in [0, 1): by default red and blue. So no surface looks like a flag: no colour in it is a
+    saturated red or blue (the greatest channel, if red or blue, stays below 1.8 times the next).
     """
     rng = np.random.default_rng(_SEED)
     grid = (np.arange(SIZE) + 0.5) / SIZE
@@ -26,24 +27,26 @@ def textures() -> list[UInt8[np.ndarray, "size size 3"]]:
     made = []
     for pattern in _PATTERNS:
         for _ in range(VARIANTS):
-            dark, light = _colours(rng)
+            dark, light = _colours(rng, hues)
             blend = np.clip(pattern(rng, u, v) + rng.normal(0, 0.04, u.shape), 0, 1)[..., None]
             made.append(np.rint(255 * (dark + blend * (light - dark))).astype(np.uint8))
     return made
 
 
-def _colours(rng: np.random.Generator) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def _colours(
+    rng: np.random.Generator, hues: Sequence[float]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Draw a dark and a light colour of neighbouring hues."""
     hue = rng.random()
-    dark = _colour(hue, rng.uniform(0.2, 0.7), rng.uniform(0.3, 0.55))
-    light = _colour(hue + rng.uniform(-0.1, 0.1), rng.uniform(0.1, 0.6), rng.uniform(0.7, 0.95))
+    dark = _colour(hue, rng.uniform(0.2, 0.7), rng.uniform(0.3, 0.55), hues)
+    light = _colour(hue + rng.uniform(-0.1, 0.1), rng.uniform(0.1, 0.6), rng.uniform(0.7, 0.95), hues)
     return dark, light
 
 
-def _colour(hue: float, saturation: float, value: float) -> Float[np.ndarray, "3"]:
-    """Return RGB in [0, 1], greyer the nearer the hue is to the flags' red (0) and blue (2/3)."""
+def _colour(hue: float, saturation: float, value: float, hues: Sequence[float]) -> Float[np.ndarray, "3"]:
+    """Return RGB in [0, 1], greyer the nearer the hue is to one of `hues`."""
     hue %= 1.0
-    distance = min(hue, 1 - hue, abs(hue - 2 / 3))
+    distance = min(min(abs(hue - flag), 1 - abs(hue - flag)) for flag in hues)
     return np.array(colorsys.hsv_to_rgb(hue, saturation * min(1.0, 0.35 + 6 * distance), value))
 
 

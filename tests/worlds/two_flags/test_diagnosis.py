@@ -82,6 +82,58 @@ def test_the_cause_of_a_failure(episode, expected):
     assert expected in CAUSES
 
 
+HOMES_OF_FOUR = {0: 0, 1: 1, 2: 2, 3: 3}
+
+
+@pytest.mark.parametrize(
+    ("outcome", "reached", "macro", "expected"),
+    [
+        ("green_first", [2], 1, "green_in_the_way"),
+        ("yellow_first", [2], 1, "yellow_in_the_way"),
+        ("yellow_first", [2], 3, "changed_early"),
+        ("green_first", [2], 2, "changed_early"),
+        ("yellow_never_reached", [2, 4, 6], 1, "change_missed"),
+        ("yellow_never_reached", [2, 4, 6], 3, "out_of_time"),
+        ("red_never_reached", [2], 0, "change_missed"),
+        ("red_never_reached", [2], 7, "out_of_time"),
+    ],
+)
+def test_causes_among_four_flags(outcome, reached, macro, expected):
+    episode = run(outcome, [F] * 9, macro)
+    episode.rewards[reached] = 1
+    assert cause(episode, HOMES_OF_FOUR) == expected
+
+
+def test_homes_and_steps_among_four_flags():
+    phases = [0] * 5 + [1] * 5 + [2] * 5 + [3] * 5
+    episode = won(phases, phases)
+    episode.rewards[[4, 9, 14, 19]] = 1
+    assert home_phases([episode]) == HOMES_OF_FOUR
+    failed = run("red_never_reached", [F] * 9, blue=3)
+    assert diagnosis_of("FourFlags-v0").events([episode, failed]) == {
+        "blue_steps": [4, 3],
+        "red_steps": [9, None],
+        "green_steps": [14, None],
+    }
+
+
+@pytest.mark.parametrize(
+    ("world", "early", "missed"),
+    [
+        ("TwoFlags-v0", ["red"], ["blue", "red"]),
+        ("FourFlags-v0", ["red", "green", "yellow"], ["blue", "red", "green", "yellow"]),
+    ],
+)
+def test_outcomes_name_every_flag(world, early, missed):
+    diagnosis = diagnosis_of(world)
+    first, never = (
+        [f"{flag}{end}" for flag in flags] for flags, end in ((early, "_first"), (missed, "_never_reached"))
+    )
+    assert list(diagnosis.outcomes) == ["success", *first, *never]
+    told = [{"is_success": False, "failure": "", "phase": phase} for phase in range(len(missed))]
+    assert [diagnosis.outcome(info) for info in told] == never
+
+
 def test_where_the_world_tells_no_position_nothing_is_known_to_press():
     episode = run("blue_never_reached", [F] * 700, way=0)
     assert cause(Episode(**{**episode.__dict__, "positions": None}), {}) == "out_of_time"

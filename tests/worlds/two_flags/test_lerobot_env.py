@@ -11,6 +11,7 @@ from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import env_to_policy_features
 
+from dpmacro.worlds import recording_of
 from dpmacro.worlds.two_flags.env import TwoFlagsConfig
 from dpmacro.worlds.two_flags.lerobot_env import GYM_ID, OPTIONS, TASK, TwoFlagsEnvConfig
 
@@ -32,6 +33,23 @@ def test_the_options_are_those_of_the_world():
     assert EnvConfig.get_choice_class("two_flags") is TwoFlagsEnvConfig
     with pytest.raises(ValueError, match="TwoFlags: max_steps is 0: give 1 or more"):
         TwoFlagsEnvConfig(max_steps=0)
+
+
+@pytest.mark.parametrize(("kind", "world"), [("four_flags", "FourFlags"), ("six_flags", "SixFlags")])
+def test_rooms_with_more_flags_are_environments_of_their_own(kind, world):
+    config = EnvConfig.get_choice_class(kind)(render_size=(64, 48))
+    assert config.type == kind and config.gym_id == f"dpmacro/{world}-v0"
+    assert config.max_steps == config.gym_kwargs["max_steps"] == config.options_type().max_steps
+    with pytest.raises(ValueError, match=f"{world}: start is 'fixed': give flags='fixed'"):
+        type(config)(start="fixed")
+    worlds = make_env(config, n_envs=1)[kind][0]
+    plain = gym.make(f"{world}-v0", render_size=(64, 48))
+    (shown,) = worlds.reset(seed=[4])[0]["pixels"]["avatar"]
+    np.testing.assert_array_equal(shown, plain.reset(seed=4)[0]["pixels"])
+    assert worlds.call("task_description") == (recording_of(f"{world}-v0").task,) == (config.task,)
+    assert worlds.call("_max_episode_steps") == (config.max_steps,)
+    worlds.close()
+    plain.close()
 
 
 def test_it_shows_and_takes_what_demonstrations_hold(recorded):

@@ -12,9 +12,19 @@ REACH = AVATAR_RADIUS + FLAG_RADIUS
 AHEAD = Layout(side=12.0, blue=(2.0, 0.0), red=(-4.0, 4.0))
 
 
+OWN_CHANNELS = ([2], [0], [1], [0, 1], [0, 2], [1, 2])  # of blue, red, green, yellow, magenta, cyan
+
+
 @pytest.fixture(scope="module")
 def scene():
     scene = Scene()
+    yield scene
+    scene.close()
+
+
+@pytest.fixture(scope="module")
+def six():
+    scene = Scene(count=6)
     yield scene
     scene.close()
 
@@ -42,6 +52,20 @@ def test_a_flag_is_recognisable_from_every_side_at_15_metres(scene, flag, channe
             small = cv2.resize(scene.view(128, 96), (64, 48), interpolation=cv2.INTER_AREA)
             assert coloured(small, channel) >= 3, (texture, direction)
             assert coloured(small, 2 - channel) == 0, (texture, direction)
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_each_of_six_flags_is_told_from_the_others_at_15_metres(six, place):
+    behind = tuple((-8.0, 1.5 * (other - 2.5)) for other in range(5))
+    flags = (*behind[:place], (7.5, 0.0), *behind[place:])
+    layout = Layout(20.0, flags[0], flags[1], flags[2:])
+    for texture in range(six.texture_count):
+        stand(six, layout, -7.0, 0.0, 0.0, [texture] * 5)
+        small = cv2.resize(six.view(128, 96), (64, 48), interpolation=cv2.INTER_AREA).astype(float)
+        for other, channels in enumerate(OWN_CHANNELS):
+            least = small[..., channels].min(-1)
+            most = small[..., [c for c in range(3) if c not in channels]].max(-1)
+            assert (((least > 2.1 * most) & (least > 60)).sum() >= 3) == (other == place), (texture, other)
 
 
 def test_nothing_in_view_is_black(scene):
@@ -108,6 +132,22 @@ def test_bearing_is_left_positive(scene):
     assert scene.bearing("blue") == pytest.approx(math.pi / 2)
     stand(scene, AHEAD, 2.0, -2.0, 3.0)
     assert scene.bearing("blue") == pytest.approx(math.pi / 2 - 3.0)
+
+
+def test_distances_to_flags_and_walls(scene):
+    stand(scene, AHEAD, 2.0, -3.0, math.pi / 2)
+    assert scene.distance("blue") == pytest.approx(3.0)
+    assert scene.distance("red") == pytest.approx(math.hypot(6, 7))
+    for angle in (0.0, math.pi / 2, math.pi, -math.pi / 2, 0.4, 2.5):
+        stand(scene, AHEAD, 2.0, -3.0, math.pi / 2)
+        room = scene.to_wall(angle)
+        scene.turn(angle)
+        start = scene.position
+        ahead = np.array([math.cos(scene.heading), math.sin(scene.heading)])
+        scene.put_avatar(start + (room - 0.01) * ahead, scene.heading)
+        assert np.abs(scene.position).max() == pytest.approx(6 - AVATAR_RADIUS, abs=0.011)
+        scene.put_avatar(start + (room + 0.02) * ahead, scene.heading)
+        assert not scene.free()
 
 
 def test_two_scenes_do_not_interfere(scene):
