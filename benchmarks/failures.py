@@ -25,13 +25,18 @@ from dpmacro import figures
 from dpmacro.metrics.success import wilson_interval
 from dpmacro.utils import cli
 from dpmacro.utils.files import replacing
+from dpmacro.worlds.two_flags.scene import FLAGS
 
 MARKS = ("<!-- failures -->", "<!-- /failures -->")
 ROWS = 5  # causes in pictures, the most frequent ones
 MEANINGS = {
-    "changed_early": "Blue was not reached, yet a macro-action from after it was running.",
-    "change_missed": "Blue was reached, yet a macro-action from before it was running.",
+    "changed_early": "A flag (of two, blue) was not reached, yet a macro-action from after it was running.",
+    "change_missed": "A flag (of two, blue) was reached, yet a macro-action from before it was running.",
     "red_in_the_way": "Red was touched on the way to blue, though no macro-action came too early.",
+    **{
+        f"{flag}_in_the_way": f"{flag} was touched before its turn, though no macro-action came too early."
+        for flag in FLAGS[2:]
+    },
     "pressed": "At the end the avatar walked against a wall or flag and hardly moved.",
     "spins": "At the end the avatar turned on the spot, a whole turn: no flag was recognised.",
     "dithers": "At the end the avatar turned on the spot, left and right in turn.",

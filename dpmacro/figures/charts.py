@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 
-from dpmacro.figures.style import INK, PALETTE, WIDTH, bare, legend, one_line, plain, set_title
+from dpmacro.figures.style import GREYS, INK, PALETTE, WIDTH, bare, legend, one_line, plain, set_title
 from dpmacro.metrics.success import wilson_interval
 
 OUTCOME_COLOURS = {
@@ -48,18 +48,20 @@ def success_chart(outcomes: Mapping[str, Mapping[str, int]], title: str = "") ->
 
     Args:
         outcomes: planner's name -> outcome -> number of runs, with "success" among the outcomes. Whiskers
-            are the 95% Wilson interval of the success rate.
+            are the 95% Wilson interval of the success rate. Outcomes of other worlds than TwoFlags are grey.
         title: above all.
     """
     figure = Figure(figsize=(WIDTH, 1.5 + 0.55 * len(outcomes)), layout="constrained")
     axis = figure.subplots()
-    kinds = [kind for kind in OUTCOME_COLOURS if any(kind in counts for counts in outcomes.values())]
+    there = {kind: GREYS[place % len(GREYS)] for place, kind in enumerate(_names(outcomes.values()))}
+    colours = {kind: colour for kind, colour in OUTCOME_COLOURS.items() if kind in there}
+    colours = colours | {kind: there[kind] for kind in there if kind not in colours}
     for row, counts in enumerate(outcomes.values()):
         runs, successes = sum(counts.values()), counts.get("success", 0)
         left = 0.0
-        for kind in kinds:
+        for kind, colour in colours.items():
             share = counts.get(kind, 0) / runs
-            axis.barh(row, share, left=left, height=0.62, color=OUTCOME_COLOURS[kind], edgecolor="white")
+            axis.barh(row, share, left=left, height=0.62, color=colour, edgecolor="white")
             left += share
         low, high = wilson_interval(successes, runs)
         rate = successes / runs
@@ -73,7 +75,7 @@ def success_chart(outcomes: Mapping[str, Mapping[str, int]], title: str = "") ->
     axis.set_xlim(0, 1)
     axis.xaxis.set_major_formatter(PercentFormatter(1.0))
     axis.set_xlabel("share of runs, whiskers: 95% interval of the success rate")
-    legend(figure, [OUTCOME_COLOURS[kind] for kind in kinds], [kind.replace("_", " ") for kind in kinds])
+    legend(figure, list(colours.values()), [kind.replace("_", " ") for kind in colours])
     set_title(figure, title)
     return figure
 
@@ -200,5 +202,5 @@ def _cycle(count: int) -> list[str]:
     return [PALETTE[place % len(PALETTE)] for place in range(count)]
 
 
-def _names(lines: Iterable[Mapping[str, Sequence[float]]]) -> list[str]:
+def _names(lines: Iterable[Mapping[str, Any]]) -> list[str]:
     return list(dict.fromkeys(name for panel in lines for name in panel))

@@ -22,6 +22,7 @@ from failures import MARKS, MEANINGS, lost_worlds, text, with_results  # noqa: E
 from dpmacro.evaluation.rollouts import PlannerSource, replay  # noqa: E402
 from dpmacro.metrics.success import wilson_interval  # noqa: E402
 from dpmacro.worlds.two_flags.diagnosis import CAUSES  # noqa: E402
+from dpmacro.worlds.two_flags.scene import FLAGS  # noqa: E402
 
 WORLD = {"id": "TwoFlags-v0", "flags": "random", "yaw_noise": 0.5, "render_size": (64, 48), "max_steps": 40}
 
@@ -53,7 +54,8 @@ def cells(line):
 
 
 def test_every_cause_has_a_meaning_of_one_sentence():
-    assert set(MEANINGS) == set(CAUSES)
+    others = {f"{flag}_in_the_way" for flag in FLAGS[2:]}
+    assert set(MEANINGS) == {*CAUSES, *others}
     assert all(meaning.endswith(".") and "." not in meaning[:-1] for meaning in MEANINGS.values())
 
 

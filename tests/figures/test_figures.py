@@ -31,7 +31,7 @@ from dpmacro.figures import (
     to_png,
     transition_graph,
 )
-from dpmacro.figures.style import PALETTE, faded, shortened
+from dpmacro.figures.style import GREYS, PALETTE, faded, shortened
 from dpmacro.metrics.success import wilson_interval
 
 
@@ -306,6 +306,10 @@ def test_a_success_chart_splits_runs_by_outcome():
     row = image[:, : image.shape[1] * 3 // 4]
     success, red_first = (coloured(row, OUTCOME_COLOURS[kind]).sum() for kind in ("success", "red_first"))
     assert red_first / success == pytest.approx(3, abs=0.3)
+    image = to_image(success_chart({"four": {"success": 10, "green_first": 20}, "two": {"red_first": 30}}))
+    row = image[: image.shape[0] // 2, : image.shape[1] * 3 // 4]
+    success, green_first = (coloured(row, shade).sum() for shade in (OUTCOME_COLOURS["success"], GREYS[1]))
+    assert green_first / success == pytest.approx(2, abs=0.3), "outcomes of other worlds are drawn, too"
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
