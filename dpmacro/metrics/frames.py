@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import linear_sum_assignment
 
 
 @dataclass(frozen=True)
@@ -29,6 +28,8 @@ def match_labels(labels: Int[np.ndarray, " frames"], truth: Int[np.ndarray, " _f
     Raises:
         ValueError: no frames, or not one label per true one.
     """
+    from scipy.optimize import linear_sum_assignment  # late: its import takes longer than ours
+
     names, classes, counts = _contingency(labels, truth)
     pairs = [pair for pair in zip(*linear_sum_assignment(counts, maximize=True), strict=True) if counts[pair]]
     agreeing = sum(int(counts[pair]) for pair in pairs)

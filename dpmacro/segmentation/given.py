@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int64, Num
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from dpmacro.segmentation.arguments import ORDERS
@@ -158,6 +157,8 @@ class GivenLabels:
         return found.view(labels.shape)
 
     def _renamed(self, labels: Int64[Tensor, " frames"]) -> Int64[Tensor, " frames"]:
+        from scipy.optimize import linear_sum_assignment  # late: its import takes longer than ours
+
         held = self.held.to(labels.device)
         pairs = labels[held] * self.macros + self.labels.to(labels.device)[held]
         agreeing = pairs.bincount(minlength=self.macros**2).view(self.macros, self.macros)
