@@ -19,18 +19,8 @@ from dpmacro.discovery.settings import ORDERS, RECIPES
 from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.given import FREE
-from dpmacro.utils.checks import (
-    ArrayLike,
-    as_count,
-    as_device,
-    as_flag,
-    as_kind,
-    as_lengths,
-    as_number,
-    as_tensor,
-    as_whole_vector,
-    shown,
-)
+from dpmacro.utils.checks import as_count, as_flag, as_kind, as_number, shown
+from dpmacro.utils.tensors import ArrayLike, as_device, as_lengths, as_tensor, as_whole_vector
 
 __all__ = [
     "Standardiser",

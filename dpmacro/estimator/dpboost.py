@@ -39,7 +39,8 @@ from dpmacro.estimator.settling import FinalFit
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
 from dpmacro.switching.settings import SwitchSettings
-from dpmacro.utils.checks import ArrayLike, as_lengths, shown
+from dpmacro.utils.checks import shown
+from dpmacro.utils.tensors import ArrayLike, as_lengths
 
 __all__ = ["DPBoost"]
 

@@ -26,8 +26,9 @@ from dpmacro.policy.observation import blank, checked
 from dpmacro.policy.planner import MacroPlanner, PolicyState
 from dpmacro.policy.recovery import RecoveringPlanner, Stretches
 from dpmacro.policy.soundness import check_groups, check_parts, grouped
-from dpmacro.utils.checks import as_count, as_device, as_kind, as_path, in_a_line, shown
+from dpmacro.utils.checks import as_count, as_kind, as_path, in_a_line, shown
 from dpmacro.utils.files import replacing
+from dpmacro.utils.tensors import as_device
 
 __all__ = ["WEIGHTS_NAME", "MacroPolicy", "PolicyState"]
 

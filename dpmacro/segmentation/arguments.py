@@ -4,7 +4,8 @@ import torch
 from jaxtyping import Bool, Int64, Num
 from torch import Tensor
 
-from dpmacro.utils.checks import ArrayLike, as_count, as_lengths, as_tensor, shown
+from dpmacro.utils.checks import as_count, shown
+from dpmacro.utils.tensors import ArrayLike, as_lengths, as_tensor
 
 __all__ = ["ORDERS", "checked"]
 

@@ -22,7 +22,8 @@ from dpmacro.segmentation.arguments import ORDERS
 from dpmacro.segmentation.padding import blocks_of, frames_inside, pad
 from dpmacro.segmentation.recursion import segment
 from dpmacro.segmentation.segments import transition_counts
-from dpmacro.utils.checks import ArrayLike, as_count, as_lengths, as_whole_vector, shown
+from dpmacro.utils.checks import as_count, shown
+from dpmacro.utils.tensors import ArrayLike, as_lengths, as_whole_vector
 
 __all__ = ["FREE", "GivenLabels"]
 

@@ -24,7 +24,7 @@ from dpmacro.segmentation.arguments import checked
 from dpmacro.segmentation.chain import cheapest_chain
 from dpmacro.segmentation.padding import blocks_of, frames_inside, pad
 from dpmacro.segmentation.segments import chain_labels
-from dpmacro.utils.checks import ArrayLike
+from dpmacro.utils.tensors import ArrayLike
 
 __all__ = ["Segmentation", "cost_of", "recursion", "segment"]
 

@@ -10,7 +10,7 @@ from dpmacro.annotation.corrections import Corrections
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.segmentation.given import FREE, GivenLabels
 from dpmacro.training.options import TrainOptions
-from dpmacro.utils.checks import ArrayLike
+from dpmacro.utils.tensors import ArrayLike
 
 __all__ = ["labelled"]
 

@@ -7,7 +7,7 @@ from starts import StartOptions, cases
 from tabletop import tabletop
 
 from dpmacro.discovery.race import RACE
-from dpmacro.utils.checks import as_lengths
+from dpmacro.utils.tensors import as_lengths
 
 
 def test_a_hand_visits_every_object_once():

@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from dpmacro.utils.checks import (
-    as_count,
-    as_flag,
-    as_lengths,
-    as_number,
-    as_tensor,
-    as_whole_vector,
-    shown,
-)
+from dpmacro.utils.checks import as_count, as_flag, as_number, shown
+from dpmacro.utils.tensors import as_lengths, as_tensor, as_whole_vector
 
 VALUES = torch.tensor([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
 FROZEN = VALUES.numpy().copy()
