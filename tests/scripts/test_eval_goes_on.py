@@ -1,13 +1,13 @@
 """What eval.py makes of an evaluation that was stopped, that could not be written, or that is over."""
 
 import json
-import resource
 import shutil
 
 import numpy as np
 import pytest
 from reaching import Reach, constant_policy
 
+from tests.helpers.limited import limited
 from tests.scripts.test_eval import call, script  # noqa: F401  a fixture
 
 TIMES = ("eval_s", "eval_ep_s")
@@ -174,13 +174,8 @@ def test_results_are_told_though_they_cannot_be_written(
     """The largest file that may be written holds the run, but not TensorBoard's events or eval_info.json."""
     out = tmp_path / "out"
     options = [f"--policy.path={reach}", "--episodes=1", f"--output_dir={out}"]
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1400, hard))
-    try:
-        with pytest.raises(SystemExit) as exit_:
-            call(script, monkeypatch, *options)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with limited(1400), pytest.raises(SystemExit) as exit_:
+        call(script, monkeypatch, *options)
     told = capsys.readouterr()
     assert exit_.value.code == 2 and "successes   1 of 1 runs" in told.out
     last = told.err.splitlines()[-1]

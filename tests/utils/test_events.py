@@ -15,6 +15,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from dpmacro.policy.policy import MacroPolicy
 from dpmacro.utils.events import Events, doing_without
 from dpmacro.utils.lines import threads_in_a_line
+from tests.helpers.limited import limited
 
 LARGEST = 40_000  # bytes of a file: enough for the policy and each stage, too few for the events
 SCRIPT = Path(__file__).parents[1] / "parallel/quick_train.py"
@@ -40,10 +41,9 @@ def test_what_is_written_can_be_read(tmp_path):
 
 
 @pytest.mark.parametrize("size", [10, 5000])
-def test_a_full_disk_is_one_warning(tmp_path, limited, size, capsys):
+def test_a_full_disk_is_one_warning(tmp_path, size, capsys):
     """Also where not even the first bytes fit; the thread that writes says nothing of its own."""
-    limited(size)
-    with warnings.catch_warnings(record=True) as caught, threads_in_a_line():
+    with limited(size), warnings.catch_warnings(record=True) as caught, threads_in_a_line():
         warnings.simplefilter("always")
         with Events(tmp_path / "tensorboard") as events:
             for step in range(2000):

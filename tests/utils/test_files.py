@@ -1,6 +1,4 @@
 import errno
-import resource
-import signal
 from pathlib import Path
 
 import pytest
@@ -9,6 +7,7 @@ from safetensors import SafetensorError
 from safetensors.torch import save_file
 
 from dpmacro.utils.files import replacing, telling_what_is_safe
+from tests.helpers.limited import limited
 
 
 def test_a_file_appears_whole_(tmp_path):
@@ -41,17 +40,6 @@ def small(path):
     save_file({"numbers": torch.zeros(10_000)}, path)
 
 
-@pytest.fixture
-def limited():
-    """No file of this process grows beyond 4 kB."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    signal.signal(signal.SIGXFSZ, handler)
-
-
 def test_a_full_disk_names_the_file(tmp_path):
     with pytest.raises(OSError) as caught, replacing(tmp_path / "file.json") as temporary:
         full(temporary)
@@ -59,10 +47,11 @@ def test_a_full_disk_names_the_file(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_safetensors_names_it_likewise(tmp_path, limited):
-    with pytest.raises(OSError) as caught, replacing(tmp_path / "model.safetensors") as temporary:
+def test_safetensors_names_it_likewise(tmp_path):
+    path = tmp_path / "model.safetensors"
+    with limited(4096), pytest.raises(OSError) as caught, replacing(path) as temporary:
         small(temporary)
-    assert (caught.value.errno, caught.value.filename) == (errno.EFBIG, str(tmp_path / "model.safetensors"))
+    assert (caught.value.errno, caught.value.filename) == (errno.EFBIG, str(path))
     assert not list(tmp_path.iterdir())
 
 

@@ -14,6 +14,7 @@ from dpmacro.boosting.loop import Boosting
 from dpmacro.boosting.losses.classes import class_targets
 from dpmacro.features.levels import SortedLevels
 from dpmacro.utils.stages import Stages, stage
+from tests.helpers.limited import limited
 
 LENGTHS = 9, 6  # rounds of the two series of boosting that the computation has
 
@@ -138,10 +139,9 @@ def test_files_that_cannot_be_read_are_refused(content, tmp_path, monkeypatch):
     assert "\n" not in str(error.value) and not (tmp_path / "harm").exists()
 
 
-def test_a_file_that_may_not_grow_is_named(tmp_path, limited):
+def test_a_file_that_may_not_grow_is_named(tmp_path):
     """`torch.save` itself has an error of its own for it, which says nothing."""
     Counted.most = 10**6
-    limited(500)
-    with pytest.raises(OSError, match="File too large") as error, Stages(tmp_path, 2):
+    with limited(500), pytest.raises(OSError, match="File too large") as error, Stages(tmp_path, 2):
         grown(1, 0)
     assert Path(error.value.filename).parent == tmp_path and not list(tmp_path.iterdir())

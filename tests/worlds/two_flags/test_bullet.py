@@ -1,8 +1,6 @@
 """PyBullet as the worlds need it: quiet, with numpy, leaving nothing behind."""
 
 import importlib.util
-import resource
-import signal
 import subprocess
 import sys
 import tempfile
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 
 from dpmacro.worlds.two_flags.bullet import load_egl, load_mesh, load_textures, pybullet
+from tests.helpers.limited import limited
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//1\n"
 
@@ -52,18 +51,12 @@ def test_a_missing_egl_plugin_is_reported(client, monkeypatch):
 
 def test_no_room_for_temporary_files_is_one_line(client, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (16, before[1]))
-    try:
-        told = rf"none can be written in {tmp_path} \(File too large\): free some space there, or .*TMPDIR"
+    told = rf"none can be written in {tmp_path} \(File too large\): free some space there, or .*TMPDIR"
+    with limited(16):
         with pytest.raises(ValueError, match=told):
             load_textures([np.zeros((8, 8, 3), np.uint8)], client)
         with pytest.raises(ValueError, match=told):
             load_mesh(TRIANGLE, (1.0, 1.0, 1.0, 1.0), client)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, handler)
     assert list(tmp_path.iterdir()) == []
 
 
