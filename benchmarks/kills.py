@@ -100,6 +100,7 @@ class Row:
     lost: int = 0
     half: int = 0
     different: int = 0
+    odd: set[str] = field(default_factory=set)  # what was half or different, by name
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -185,9 +186,12 @@ def killed(
                 raise ValueError(f"{name} ended with status {status}: see {here}.log")
             kept = work.kept(here)
             row.lost += kept < before and left.keys() != wanted.keys()
-            row.half += status is None and any(wanted[one] != left[one] for one in left.keys() & wanted)
+            half = [one for one in left.keys() & wanted if wanted[one] != left[one]] * (status is None)
+            row.half += bool(half)
+            row.odd.update(half)
         row.completed += 1
         row.different += left != wanted
+        row.odd.update(one for one in left.keys() | wanted if left.get(one) != wanted.get(one))
         shutil.rmtree(here)
     return row
 

@@ -63,6 +63,7 @@ def test_a_gripper_is_known_by_its_name_or_its_two_positions(columns, names, fou
 def lines_of(actions, names):
     made = random_demonstrations(truth=False, vector=True)
     changed = {"actions": actions.astype(np.float32), "action_names": tuple(names)}
+    changed |= {"observations": {}, "lengths": np.array([len(actions)])}
     return action_lines(type(made)(**{**vars(made), **changed}), LABELS)
 
 

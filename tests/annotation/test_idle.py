@@ -178,7 +178,11 @@ def test_images_of_a_still_scene_are_idle():
     for frame in range(30, 60):
         images[frame, 8:16, frame - 30 : frame - 24] = 255
     seen = replace(
-        random_demonstrations(), observations={IMAGE: images.astype(np.uint8)}, lengths=np.array([90])
+        random_demonstrations(),
+        observations={IMAGE: images.astype(np.uint8)},
+        actions=np.zeros(90, np.int64),
+        truth=None,
+        lengths=np.array([90]),
     )
     marked = idle_frames(moving_columns(seen), seen.lengths, FPS)
     assert marked[:28].all() and marked[62:].all() and not marked[32:56].any()
