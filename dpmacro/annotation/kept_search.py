@@ -17,6 +17,7 @@ from dpmacro.utils.files import replacing
 __all__ = ["Kept", "KeptSearch", "dataset_digest"]
 
 ASKED, FOUND = "search.json", "found.safetensors"
+TOLD = "found"  # the only key of the metadata: of several the order would be drawn anew for every file
 TENSORS = {"labels": (("I64",), 1), "confidence": (("F32",), 1), "cost_by_bound": (("F32", "F64"), 2)}
 
 
@@ -78,7 +79,8 @@ class KeptSearch:
             return None
         try:
             with safe_open(path, "pt") as file:
-                digest, notes = file.metadata()["digest"], json.loads(file.metadata()["notes"])
+                told = json.loads(file.metadata()[TOLD])
+                digest, notes = told["digest"], told["notes"]
                 for name, (kinds, dims) in TENSORS.items():
                     part = file.get_slice(name)
                     sizes = part.get_shape()
@@ -105,7 +107,7 @@ class KeptSearch:
         found = kept.annotation
         tensors = {name: getattr(found, name).cpu().contiguous() for name in TENSORS}
         with replacing(self.training / FOUND) as path:
-            save_file(tensors, path, {"notes": json.dumps(list(kept.notes)), "digest": _digest(found)})
+            save_file(tensors, path, {TOLD: json.dumps({"digest": _digest(found), "notes": kept.notes})})
 
     def _refuse_other(self) -> None:
         try:

@@ -51,6 +51,17 @@ def test_what_was_found_is_there_again(complete, root):
         assert again.dtype == values.dtype and torch.equal(again, values), name
 
 
+def test_what_was_found_is_the_same_bytes_in_every_run(tmp_path, root):
+    files = set()
+    for turn in range(8):  # safetensors draws the order of its metadata's keys anew for every file
+        search = KeptSearch(tmp_path / str(turn), OPTIONS, root, None)
+        search.begin()
+        search.training.mkdir()
+        search.keep(some_kept())
+        files.add((search.training / "found.safetensors").read_bytes())
+    assert len(files) == 1
+
+
 def test_a_search_is_begun_or_not(tmp_path, root):
     search = KeptSearch(tmp_path / "page", OPTIONS, root, None)
     assert not search.begun and search.found(FRAMES, TRAJECTORIES) is None
@@ -134,8 +145,10 @@ def test_other_tensors_and_notes_are_refused(complete, root, tensors, notes):
     search = KeptSearch(complete, OPTIONS, root, None)
     whole = {**vars(some_kept().annotation), **tensors}
     with safe_open(search.training / "found.safetensors", "pt") as file:
-        told = {**file.metadata(), "notes": notes}
-    save_file(whole, search.training / "found.safetensors", told)
+        digest = json.loads(file.metadata()["found"])["digest"]
+    save_file(
+        whole, search.training / "found.safetensors", {"found": f'{{"digest": "{digest}", "notes": {notes}}}'}
+    )
     with pytest.raises(ValueError, match=r"found\.safetensors cannot be read"):
         search.found(FRAMES, TRAJECTORIES)
 
