@@ -14,10 +14,13 @@ from reaching import STATE, constant_policy
 from refusals import SMALL, A, L, N, X
 
 from dpmacro import Demonstrations, DPBoost, MacroPolicy, Stages, annotate, write_labels
+from dpmacro.boosting.learners.stumps import StumpLearner
 from dpmacro.data.images import ImageTransform
 from dpmacro.evaluation.rollouts import PlannerSource, run_episodes
 from dpmacro.features.levels import SortedLevels
 from dpmacro.features.quantising import Quantiser
+from dpmacro.metrics import boundary_scores
+from dpmacro.switching.settings import SwitchSettings
 
 TEACHER, WORLD = PlannerSource("teacher"), {"id": "TwoButtons-v0"}
 STAGES = Stages(
@@ -31,6 +34,7 @@ STAGES = Stages(
     np.arange(4.0),
     10.0,
 )
+SAME = np.array([0, 0, 1, 1])
 SEEN = torch.zeros(2, 3)
 TWO = torch.tensor([True, False])
 NONE = float("nan")
@@ -55,6 +59,20 @@ class Given:
     def act(self, seen, state=None):
         observation = {STATE: seen} if seen is not None else None
         return self.policy.act(observation, self.state if state is None else state)
+
+    def fitted(self, **options):
+        made = {k: v(self) if type(v).__name__ == "function" else v for k, v in options.items()}
+        return DPBoost(**SMALL).fit_levels(self.levels, A, L, **made)
+
+    @property
+    def part(self):
+        """Levels of the first trajectory alone."""
+        values = torch.from_numpy(X.T.copy())[:, : L[0]]
+        return SortedLevels.build(Quantiser.fit(values).levels(values))
+
+    def of_part(self):
+        """What was found of it."""
+        return DPBoost(**SMALL).discover_levels(self.part, A[: L[0]], L[:1])
 
     def discovered(self, **options):
         return DPBoost(**SMALL).discover_levels(self.levels, A, L, **options)
@@ -161,6 +179,21 @@ CALLS = [
         for value in ([0], [0, -1], [0.5, 1], "x", [[0, 1]])
     ),
     ("data", lambda given: DPBoost(**SMALL).discover_levels(X, A, L)),
+    *(
+        (name, lambda given, name=name, value=value: given.fitted(**{name: value}))
+        for name, wrong in {
+            "learner": (3, "stumps", X, lambda given: StumpLearner(given.part)),
+            "switch_learner": (3, StumpLearner, lambda given: StumpLearner(given.part)),
+            "shrinkage": (0.0, 2, "1", NONE),
+            "switches": (3, {"rounds": 3}, SwitchSettings),
+            "discovery": (3, "found", lambda given: given.of_part()),
+        }.items()
+        for value in wrong
+    ),
+    *(
+        ("tolerance", lambda given, v=v: boundary_scores(SAME, SAME, np.array([4]), v))
+        for v in (None, "2", -1, 1.5, NONE, True)
+    ),
     *(("size", lambda given, value=value: ImageTransform(size=value)) for value in ("x", 3, (1, 2, 3))),
     *(("a side of size", lambda given, v=v: ImageTransform(size=v)) for v in ((-1, 2), (0, 0), (1.5, 2))),
     ("a side of stored", lambda given: ImageTransform(stored={"front": (4, True)})),
@@ -192,6 +225,9 @@ def test_what_is_as_it_should_be_is_taken(given, tmp_path):
 
 
 def _taken(given, tmp_path):
+    found = given.discovered()
+    again = given.fitted(discovery=found, learner=StumpLearner(given.levels), shrinkage=1)
+    assert len(again.labels) == N
     assert len(given.load(episodes=(0, 1)).lengths) == 2
     assert len(given.demonstrations.select(np.array([1])).lengths) == 1
     given.policy.save(str(tmp_path / "policy"))

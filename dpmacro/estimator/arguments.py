@@ -12,13 +12,16 @@ import torch
 from jaxtyping import Float, Int64, Num
 from torch import Tensor
 
+from dpmacro.boosting.learners.base import WeakLearner
 from dpmacro.boosting.losses.base import Loss
 from dpmacro.boosting.losses.classes import ExponentialLoss
 from dpmacro.boosting.losses.vectors import LOSSES, HuberLoss
+from dpmacro.discovery.result import Discovery
 from dpmacro.discovery.settings import ORDERS, RECIPES
 from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.given import FREE
+from dpmacro.switching.settings import SwitchSettings
 from dpmacro.utils.checks import as_count, as_flag, as_kind, as_number, shown
 from dpmacro.utils.tensors import ArrayLike, as_device, as_lengths, as_tensor, as_whole_vector
 
@@ -28,6 +31,7 @@ __all__ = [
     "as_device",
     "as_features",
     "as_known",
+    "check_fit",
     "check_options",
     "standardised",
     "task_of",
@@ -109,6 +113,44 @@ def task_of(
     seed, order = int(options["seed"]), options["order"]
     task = Task(actions.to(device), lengths, groups, loss, macros, bound, seed, order)
     return task if given is None else _keeping(task, given)
+
+
+def check_fit(
+    task: Task,
+    learner: WeakLearner | None,
+    switch_learner: WeakLearner | None,
+    shrinkage: float | None,
+    switches: SwitchSettings | None,
+    discovery: Discovery | None,
+) -> None:
+    """Raise ValueError for the first argument of `DPBoost.fit_levels` that does not fit the task.
+
+    A learner of classifiers holds the task's frames, one of switch functions whole copies of them.
+    """
+    frames = int(task.lengths.sum())
+    for name, one in (("learner", learner), ("switch_learner", switch_learner)):
+        if one is None:
+            continue
+        held = getattr(one, "n_frames", None)
+        if not isinstance(held, int) or not callable(getattr(one, "fit", None)):
+            raise ValueError(f"{name} is a {type(one).__name__}: give a WeakLearner, like StumpLearner(data)")
+        if held != frames and (name == "learner" or held % frames or not held):
+            raise ValueError(f"{name} holds {held} frames and data {frames}: make it on these frames")
+    if shrinkage is not None:
+        as_number("shrinkage", shrinkage, above=0.0, most=1.0)
+    if switches is not None:
+        as_kind("switches", switches, SwitchSettings)
+    if discovery is not None:
+        found = as_kind("discovery", discovery, Discovery)
+        lengths = task.lengths.tolist()
+        if found.drawn is not None and len(found.drawn) == len(lengths):
+            lengths = task.lengths[found.drawn.to(task.lengths.device)].tolist()
+        searched = found.task.lengths.tolist()
+        if searched != lengths:
+            raise ValueError(
+                f"discovery is of {len(searched)} trajectories with {sum(searched)} frames, and not of these "
+                f"{len(lengths)} with {sum(lengths)}: give what discover_levels found of them"
+            )
 
 
 def as_known(known: ArrayLike, task: Task) -> Int64[Tensor, " frames"]:

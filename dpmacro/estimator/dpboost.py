@@ -27,6 +27,7 @@ from dpmacro.estimator.arguments import (
     as_device,
     as_features,
     as_known,
+    check_fit,
     check_options,
     standardised,
     task_of,
@@ -255,9 +256,7 @@ class DPBoost:
         """`fit` on levels, with learners of the caller's; the result has no quantiser.
 
         Args:
-            data: levels of every frame.
-            actions, lengths: as for `fit`; vectors are standardised already.
-            groups: numbers 0.. of trajectories to leave out together; alone by default.
+            data, actions, lengths, groups: as for `discover_levels`.
             learner: of the strong classifiers; exact stumps by default.
             switch_learner: of the switch functions, copies of the frames after them if any; by default
                 stumps on `SWITCH_DRAWN` random columns a round.
@@ -267,14 +266,15 @@ class DPBoost:
             given: labels of some frames, as for `fit`.
             on_round: called after every boosting round.
         """
-        task = task_of(self.get_params(), data, actions, lengths, groups, given)
-        if discovery is None:
-            shared: dict[str, Any] = {"groups": groups, "given": given, "on_round": on_round}
-            discovery = self.discover_levels(data, actions, lengths, **shared)
         options = self.get_params()
+        task = task_of(options, data, actions, lengths, groups, given)
+        check_fit(task, learner, switch_learner, shrinkage, switches, discovery)
+        if discovery is None:
+            discovery = self.discover_levels(
+                data, actions, lengths, groups=groups, given=given, on_round=on_round
+            )
         search = search_of(options)
-        if discovery is not None:
-            discovery = spread(data, task, discovery, search, on_round)
+        discovery = discovery and spread(data, task, discovery, search, on_round)
         fit = FinalFit(
             StumpLearner(data) if learner is None else learner,
             StumpLearner(data, SWITCH_DRAWN) if switch_learner is None else switch_learner,

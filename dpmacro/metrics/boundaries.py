@@ -7,6 +7,7 @@ from jaxtyping import Int
 
 from dpmacro.metrics.frames import check_same_frames
 from dpmacro.metrics.segments import transitions
+from dpmacro.utils.checks import as_count
 
 
 class Boundaries(NamedTuple):
@@ -28,7 +29,8 @@ def boundary_counts(
     Hits are those of `matched_boundaries` within a trajectory, `tolerance` frames apart at most (inclusive).
 
     Raises:
-        ValueError: a negative tolerance, no frames, not one label per true one, lengths that do not add up.
+        ValueError: a tolerance that is not a whole number, 0 or more, no frames, not one label per true one,
+            lengths that do not add up.
     """
     check_same_frames(labels, truth)
     found, true = transitions(labels, lengths), transitions(truth, lengths)
@@ -62,10 +64,9 @@ def matched_boundaries(
     be a pair, and else the earlier of them has none: one sweep is exact. Pairing the nearest first is not.
 
     Raises:
-        ValueError: a negative tolerance.
+        ValueError: a tolerance that is not a whole number, 0 or more.
     """
-    if tolerance < 0:
-        raise ValueError(f"tolerance is {tolerance}, it must be a number of frames, 0 or more")
+    as_count("tolerance", tolerance, 0)
     hits = f = t = 0
     while f < len(found) and t < len(true):
         distance = int(found[f]) - int(true[t])

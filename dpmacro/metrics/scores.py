@@ -52,7 +52,7 @@ def segmentation_scores(
     """Every score of labels against truth; change points count within `tolerance` frames, inclusive.
 
     Raises:
-        ValueError: no frames, not one label per true one, lengths that do not add up, a negative tolerance.
+        ValueError: no frames, not one label per true one, lengths that do not add up, a wrong tolerance.
     """
     named, classes = named_after_truth(labels, truth)
     precision, recall, boundary_f1 = boundary_scores(labels, truth, lengths, tolerance)
