@@ -21,7 +21,6 @@ from typing import Any
 
 from ablated import PARTS
 from ablation_report import ALL, NONE, dots, table
-from flags_cells import RENDERED
 from report import header, inserted
 from table_jobs import Job, read_stamp, run
 from table_rows import Row, as_json, stored
@@ -69,11 +68,11 @@ def _metaworld(task: str) -> Source:
 
 
 SOURCES = {
-    "two-flags": Source(True, False, (RENDERED,), ("--planner.macros=2",)),
+    "two-flags": Source(True, False, ("--world.flags=random",), ("--planner.macros=2",)),
     "four-flags": Source(
         True,
         False,
-        (RENDERED, "--world.id=FourFlags-v0", "--world.teacher=searching"),
+        ("--world.id=FourFlags-v0", "--world.teacher=searching"),
         ("--planner.macros=4",),
     ),
     **{task: _metaworld(task) for task in ("pick-place-v3", "disassemble-v3", "basketball-v3")},
