@@ -129,7 +129,7 @@ def switches_row(
     generator = torch.Generator().manual_seed(seed)
     settings = SwitchSettings(rounds=rounds, shrinkage=shrinkage)
     actions = torch.from_numpy(demonstrations.actions)
-    switches = fit_switches(learner, phase, lengths, generator, settings, actions=actions)
+    [switches] = fit_switches(learner, phase[None], lengths, generator, settings, actions=actions)
     shares = "  ".join(
         f"{source} to {target}: {share:.2f}"
         for (source, target), share in zip(switches.pairs, switches.recognised.tolist(), strict=True)

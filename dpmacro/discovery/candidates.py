@@ -24,7 +24,7 @@ from dpmacro.segmentation.marginals import costs_without, margins
 from dpmacro.segmentation.segments import transition_counts
 from dpmacro.switching.functions import SwitchFunctions, causal_labels
 from dpmacro.switching.settings import SWITCH_FOLDS, SwitchSettings
-from dpmacro.switching.training import fit_switches_of_all
+from dpmacro.switching.training import fit_switches
 from dpmacro.utils.stages import stage
 
 __all__ = [
@@ -192,7 +192,7 @@ def _switches(
     most = task.macros * (task.macros - 1) + task.macros  # changes and starts of one candidate
     for some in candidates.split(max(PROBLEMS // ((folds + 1) * most), 1)):
         generator = torch.Generator().manual_seed(task.seed)
-        yield from fit_switches_of_all(learner, some, task.lengths, generator, settings, groups=task.groups)
+        yield from fit_switches(learner, some, task.lengths, generator, settings, groups=task.groups)
 
 
 def _scores(

@@ -96,8 +96,9 @@ def settle(
         generator = torch.Generator().manual_seed(task.seed)
         actions = task.actions if settings.cues and task.actions.ndim == 1 else None
         settings = replace(settings, tolerance=task.tolerance)
-        given = fit.switch_learner, own, task.lengths, generator, settings
-        return fit_switches(*given, groups=task.groups, actions=actions, on_round=on_round)
+        given = fit.switch_learner, own[None], task.lengths, generator, settings
+        [found] = fit_switches(*given, groups=task.groups, actions=actions, on_round=on_round)
+        return found
 
     chosen = labels
     if fit.switches.aligned:

@@ -22,25 +22,28 @@ from dpmacro.switching.threshold import best_threshold, recognised_share
 from dpmacro.switching.wanted import Ends, Fold, Wanted
 from dpmacro.utils.stages import stage
 
-__all__ = ["fit_switches", "fit_switches_of_all"]
+__all__ = ["fit_switches"]
 
 
+@stage
 def fit_switches(
     learner: WeakLearner,
-    labels: Int64[Tensor, " frames"],
+    labellings: Int64[Tensor, "labellings frames"],
     lengths: Int64[Tensor, " trajectories"],
     generator: torch.Generator,
     settings: SwitchSettings,
     groups: Int64[Tensor, " trajectories"] | None = None,
     actions: Int64[Tensor, " frames"] | None = None,
     on_round: Callable[[Round], None] = lambda _: None,
-) -> SwitchFunctions:
+) -> tuple[SwitchFunctions, ...]:
     """Fit a switch function for every change of macro-label that the trajectories show.
 
     Args:
         learner: finds the weak hypotheses; holds the frames, and copies of all of them after them if
             any, like mirror images: examples too, of which no threshold or cue is taken.
-        labels, lengths: the segmentation.
+        labellings: segmentations, each of which gets functions of its own, on the same draws. With early
+            stopping there can be one only: that looks at all switch functions together.
+        lengths: of the trajectories.
         generator: deals trajectories into folds, and draws what the learner draws.
         settings: see there.
         groups: trajectories of the same group fall into the same fold; alone by default.
@@ -53,25 +56,6 @@ def fit_switches(
     (`SwitchFunctions.left_out` is False).
 
     Raises ValueError where the learner does not hold a whole number of copies of the frames.
-    """
-    given = learner, labels[None], lengths, generator, settings, groups, actions, on_round
-    return fit_switches_of_all(*given)[0]
-
-
-@stage
-def fit_switches_of_all(
-    learner: WeakLearner,
-    labellings: Int64[Tensor, "labellings frames"],
-    lengths: Int64[Tensor, " trajectories"],
-    generator: torch.Generator,
-    settings: SwitchSettings,
-    groups: Int64[Tensor, " trajectories"] | None = None,
-    actions: Int64[Tensor, " frames"] | None = None,
-    on_round: Callable[[Round], None] = lambda _: None,
-) -> tuple[SwitchFunctions, ...]:
-    """What `fit_switches` finds for each of several segmentations, boosted side by side on the same draws.
-
-    With early stopping there can be one only: that looks at all switch functions together.
     """
     n_frames, labellings = labellings.shape[1], labellings.cpu()
     copies, rest = divmod(learner.n_frames, n_frames)

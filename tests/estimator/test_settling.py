@@ -117,8 +117,9 @@ def test_changes_are_aligned_by_all_frames_and_made_by_those_after_their_cues(mo
     fits, fit = [], settling.fit_switches
 
     def noted(learner, labels, lengths, generator, settings, **named):
-        fits.append((settings.focused, fit(learner, labels, lengths, generator, settings, **named)))
-        return fits[-1][1]
+        [found] = fit(learner, labels, lengths, generator, settings, **named)
+        fits.append((settings.focused, found))
+        return (found,)
 
     monkeypatch.setattr(settling, "fit_switches", noted)
     found = settle(fit_of(data), task_of(actions, lengths), late(truth))

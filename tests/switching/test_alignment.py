@@ -22,7 +22,7 @@ def test_changes_move_to_where_switch_functions_fire():
 
     def fit(given):
         settings = SwitchSettings(rounds=10)
-        return fit_switches(learner, given, lengths, torch.Generator().manual_seed(0), settings)
+        return fit_switches(learner, given[None], lengths, torch.Generator().manual_seed(0), settings)[0]
 
     switches = fit(late)
     assert switches.recognised.tolist() == [0.75]

@@ -17,13 +17,15 @@ from dpmacro.segmentation.segments import macro_segments
 from dpmacro.switching.examples import examples
 from dpmacro.switching.functions import causal_labels, cued
 from dpmacro.switching.settings import SwitchSettings
-from dpmacro.switching.training import fit_switches, fit_switches_of_all
+from dpmacro.switching.training import fit_switches
 
 
 def fit(learner, labels, lengths, rounds=10, actions=None, on_round=lambda _: None, **settings):
     settings = SwitchSettings(rounds=rounds, **settings)
     generator = torch.Generator().manual_seed(0)
-    return fit_switches(learner, labels, lengths, generator, settings, actions=actions, on_round=on_round)
+    given = learner, labels[None], lengths, generator, settings
+    [found] = fit_switches(*given, actions=actions, on_round=on_round)
+    return found
 
 
 def test_a_visible_change_is_recognised_when_it_comes():
@@ -160,12 +162,12 @@ def test_trajectories_of_a_group_are_left_out_together():
     together, apart = (
         fit_switches(
             twice,
-            labels.repeat(2),
+            labels.repeat(2)[None],
             lengths.repeat(2),
             torch.Generator().manual_seed(0),
             SwitchSettings(rounds=40),
             groups=own,
-        )
+        )[0]
         for own in (groups, None)
     )
     twins = [found.scores.chunk(2) for found in (together, apart)]
@@ -287,9 +289,9 @@ def test_segmentations_side_by_side_get_the_functions_that_each_gets_alone():
     without = torch.zeros_like(labels)
     settings = SwitchSettings(rounds=8)
     every = torch.stack([labels, without, halves, 1 - labels])
-    together = fit_switches_of_all(learner, every, lengths, torch.Generator().manual_seed(3), settings)
+    together = fit_switches(learner, every, lengths, torch.Generator().manual_seed(3), settings)
     for own, found in zip(every, together, strict=True):
-        alone = fit_switches(learner, own, lengths, torch.Generator().manual_seed(3), settings)
+        [alone] = fit_switches(learner, own[None], lengths, torch.Generator().manual_seed(3), settings)
         assert (found.pairs, found.starts, found.cues) == (alone.pairs, alone.starts, alone.cues)
         for name in ("thresholds", "recognised", "scores", "margins"):
             torch.testing.assert_close(getattr(found, name), getattr(alone, name))

@@ -198,7 +198,7 @@ def test_switch_functions_of_convnets_detect_a_change():
     learner = convnets(images, epochs=4)
     generator = torch.Generator().manual_seed(0)
     settings = SwitchSettings(rounds=2, shrinkage=0.5, folds=2)
-    switches = fit_switches(learner, labels, lengths, generator, settings)
+    [switches] = fit_switches(learner, labels[None], lengths, generator, settings)
     assert switches.pairs == ((0, 1),) and float(switches.recognised[0]) == 1
     scores = switches.classifier.scores(frames_of(learner))
     assert scores.shape == (120, 1, 1)
