@@ -39,7 +39,7 @@ FLAGS = {"blue": "#1f4fd8", "red": "#d62728"}
 class MapOptions:
     """Which policies, and how fine a map."""
 
-    policies: list[Path] = field(default_factory=list)
+    policies: list[str] = field(default_factory=list)
     """Folders of trainings by train.py, in rooms with two flags in fixed places; a map for each."""
     titles: list[str] = field(default_factory=list)
     """A title for every map; by default the folders' names."""
@@ -76,8 +76,9 @@ class Map:
 
 def main(options: MapOptions) -> None:
     """Draw the maps; print the share of the places from which each policy goes for red."""
-    titles = options.titles or [folder.name for folder in options.policies]
-    maps = [map_of(folder, options) for folder in tqdm(options.policies, unit="map")]
+    folders = [Path(name) for name in options.policies]
+    titles = options.titles or [folder.name for folder in folders]
+    maps = [map_of(folder, options) for folder in tqdm(folders, unit="map")]
     figures.save(drawn(maps, titles), options.output)
     for title, found in zip(titles, maps, strict=True):
         looks = found.forward[~np.isnan(found.forward)]
