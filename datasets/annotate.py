@@ -35,13 +35,13 @@ from dpmacro.annotation.found import found_text
 from dpmacro.annotation.idle import idle_frames, moving_columns
 from dpmacro.annotation.kept_search import Kept, KeptSearch
 from dpmacro.annotation.naming import stage_names
-from dpmacro.annotation.options import AnnotateOptions
 from dpmacro.annotation.pictures import picture_count, pictures
 from dpmacro.annotation.recordings import require_rerun, write_recordings
 from dpmacro.annotation.report import NUMBERS, PAGE, SHOWN, score_text, stages_of, write_report
 from dpmacro.annotation.summary import Summary
 from dpmacro.data.demonstrations import Demonstrations
 from dpmacro.policy.policy import MacroPolicy
+from dpmacro.training.annotate_options import AnnotateOptions
 from dpmacro.training.data import read_demonstrations
 from dpmacro.training.labels import labelled
 from dpmacro.training.options import TrainOptions
