@@ -98,7 +98,7 @@ def iter_episodes(
             been given out.
     """
     as_count("workers", workers)
-    as_kind("world", world, Mapping, 'its id and options, like {"id": "TwoFlags-v0"}')
+    as_kind("world", world, Mapping, 'its id and options, like {"id": "CartPole-v1"}')
     as_text("world['id']", world.get("id"))
     for seed in as_kind("seeds", seeds, Sequence, "a list of whole numbers"):
         as_count("seeds", seed, 0)

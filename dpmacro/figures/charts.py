@@ -48,7 +48,7 @@ def success_chart(outcomes: Mapping[str, Mapping[str, int]], title: str = "") ->
 
     Args:
         outcomes: planner's name -> outcome -> number of runs, with "success" among the outcomes. Whiskers
-            are the 95% Wilson interval of the success rate. Outcomes of other worlds than TwoFlags are grey.
+            are the 95% Wilson interval of the success rate. Outcomes without a colour of their own are grey.
         title: above all.
     """
     figure = Figure(figsize=(WIDTH, 1.5 + 0.55 * len(outcomes)), layout="constrained")
