@@ -1,7 +1,7 @@
 """How often the teacher succeeds among flags, how long it takes, and how its failures split.
 
 python benchmarks/teacher.py --flags=random --episodes=500 --seed=0 --workers=2
-python benchmarks/teacher.py --id=FourFlags-v0 --teacher=searching --episodes=100 --seed=5000
+python benchmarks/teacher.py --id=FourFlags-v0 --ways=any --teacher=searching --episodes=100 --seed=5000
 """
 
 from collections import Counter
@@ -31,6 +31,8 @@ class TeacherConfig:
     """The world, one of TwoFlags-v0, FourFlags-v0 and SixFlags-v0."""
     teacher: str = "paper"
     """The world's teacher, "paper" or "searching"."""
+    ways: str | None = None
+    """Whether flags may stand in the way of one another, "any" or "clear"; by default as the world has it."""
     flags: str = "random"
     """Flags placed anew each episode ("random"), or one layout for all ("fixed")."""
     layout_seed: int = 0
@@ -56,6 +58,7 @@ class TeacherConfig:
         return {
             "id": self.id,
             "teacher": self.teacher,
+            **({} if self.ways is None else {"ways": self.ways}),
             "flags": self.flags,
             "layout_seed": self.layout_seed,
             # The teacher looks at no pixel, so the smallest picture gives the same runs sooner.

@@ -17,6 +17,7 @@ from dpmacro.boosting.loop import Round
 from dpmacro.discovery.alternation import Alternated, pooled
 from dpmacro.discovery.candidates import Candidate, score_candidates
 from dpmacro.discovery.criteria import best_candidate
+from dpmacro.discovery.division import divided
 from dpmacro.discovery.fields import Field, extended, field_of
 from dpmacro.discovery.race import boosted, boosted_in_turn, raced, taught
 from dpmacro.discovery.refinement import recut, simplified
@@ -66,6 +67,21 @@ def discover(
     data, task = field.data, field.task
     if field.drawn is not None:
         on_round = _without_labels(on_round)
+    found = _found(data, task, settings, restarts, shrinkage, on_round)
+    if settings.criterion == "left_out" and not task.vectors and task.order == "free" and task.given is None:
+        found = _divided(found, data, settings, restarts, shrinkage, on_round)
+    return replace(found, drawn=field.drawn)
+
+
+def _found(
+    data: SortedLevels,
+    task: Task,
+    settings: SearchSettings,
+    restarts: int,
+    shrinkage: float,
+    on_round: Callable[[Round], None],
+) -> Discovery:
+    """Candidates that cut all trajectories, and the one to keep."""
     if task.vectors and settings.starts != "random":
         alternated = _raced(data, task, settings, restarts, shrinkage, on_round)
     else:
@@ -78,7 +94,28 @@ def discover(
         return Discovery(task, alternated, tuple(score_candidates(data, task, least[None], on_round)), 0)
     candidates = _scored(data, task, alternated, settings, restarts, on_round)
     best = best_candidate([one.scores for one in candidates], task.vectors)
-    return Discovery(task, alternated, tuple(candidates), best, field.drawn)
+    return Discovery(task, alternated, tuple(candidates), best)
+
+
+def _divided(
+    found: Discovery,
+    data: SortedLevels,
+    settings: SearchSettings,
+    restarts: int,
+    shrinkage: float,
+    on_round: Callable[[Round], None],
+) -> Discovery:
+    """What was found, and its macro-actions cut in two where that pays, which is then what to keep."""
+    told = _without_labels(on_round)
+
+    def halves(data: SortedLevels, task: Task) -> Discovery:
+        return _found(data, task, settings, restarts, shrinkage, told)
+
+    labels = divided(data, found.task, found.kept.labels, halves)
+    if len(labels.unique()) == len(found.kept.used):
+        return found
+    more = score_candidates(data, found.task, labels[None], on_round)
+    return replace(found, candidates=(*found.candidates, *more), best=len(found.candidates))
 
 
 def spread(

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from dpmacro.worlds.two_flags.options import PIXELS, FourFlagsConfig, SixFlagsConfig, TwoFlagsConfig
+from dpmacro.worlds.two_flags.places import clear_ways
 from dpmacro.worlds.two_flags.scene import AVATAR_RADIUS, FLAG_RADIUS, FLAGS, SURFACES, Layout, Scene
 
 __all__ = [
@@ -116,13 +117,14 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
             raise ValueError(
                 f"{self.config.world}: reset has no option {min(given)!r}: choose among layout, start"
             )
-        if layout is None and self.config.flags == "random":
-            layout = draw_layout(self.np_random, self.config.count)
-        elif layout is None:
-            layout = draw_layout(np.random.default_rng(self.config.layout_seed), self.config.count)
+        clear = layout is None and self.config.ways == "clear"
+        if layout is None:
+            fixed = self.config.flags == "fixed"
+            rng = np.random.default_rng(self.config.layout_seed) if fixed else self.np_random
+            layout = draw_layout(rng, self.config.count, clear)
         self.layout = layout
         self.scene.arrange(layout, self._surfaces())
-        x, y, heading = self._start() if start is None else start
+        x, y, heading = self._start(clear) if start is None else start
         self.scene.put_avatar(np.array([x, y]), heading)
         if not self.scene.free():
             raise ValueError(
@@ -183,12 +185,12 @@ class TwoFlagsEnv(gym.Env[dict[str, np.ndarray], np.int64]):
             return drawn
         return _draw_surfaces(self._fixed(_TEXTURES), self.scene.texture_count)
 
-    def _start(self) -> tuple[float, float, float]:
+    def _start(self, clear: bool) -> tuple[float, float, float]:
         """Where the avatar starts: x, y (metres) and heading (radians)."""
-        drawn = draw_start(self.np_random, self.layout)
+        drawn = draw_start(self.np_random, self.layout, clear)
         if self.config.start == "random":
             return drawn
-        x, y, heading = draw_start(self._fixed(_START), self.layout)
+        x, y, heading = draw_start(self._fixed(_START), self.layout, clear)
         return x, y, heading + self.config.start_spread * drawn[-1] / math.pi
 
     def _fixed(self, what: int) -> np.random.Generator:
@@ -240,11 +242,11 @@ class SixFlagsEnv(TwoFlagsEnv):
     options_type = SixFlagsConfig
 
 
-def draw_layout(rng: np.random.Generator, count: int = 2) -> Layout:
+def draw_layout(rng: np.random.Generator, count: int = 2, clear: bool = False) -> Layout:
     """Draw a room and `count` flags in it, with room for the avatar on every side of each.
 
     The smallest rooms have no room for six flags: where `_TRIES` draws of all flags fail, another room is
-    drawn.
+    drawn. With `clear`, rooms are drawn until one is found with a start as `draw_start` wants it then.
     """
     while True:
         side = rng.uniform(*SIDES)
@@ -253,16 +255,29 @@ def draw_layout(rng: np.random.Generator, count: int = 2) -> Layout:
             flags = rng.uniform(-reach, reach, (count, 2)).tolist()
             if all(math.dist(*pair) >= _FLAG_TO_FLAG for pair in combinations(flags, 2)):
                 blue, red, *others = ((x, y) for x, y in flags)
-                return Layout(side, blue, red, tuple(others))
+                layout = Layout(side, blue, red, tuple(others))
+                if not clear or _is_clear(layout, draw_start(rng, layout)):
+                    return layout
+                break
 
 
-def draw_start(rng: np.random.Generator, layout: Layout) -> tuple[float, float, float]:
-    """Draw x, y (metres) and heading (radians) of an avatar that touches nothing in `layout`."""
+def draw_start(rng: np.random.Generator, layout: Layout, clear: bool = False) -> tuple[float, float, float]:
+    """Draw x, y (metres) and heading (radians) of an avatar that touches nothing in `layout`.
+
+    With `clear`, straight walks lead from there to every flag in turn (`places.clear_ways`). `layout` has to
+    have such a start.
+    """
     reach = layout.side / 2 - _START_TO_WALL
     while True:
         x, y = rng.uniform(-reach, reach, 2).tolist()
         if min(math.dist((x, y), flag) for flag in layout.flags) >= _START_TO_FLAG:
-            return x, y, rng.uniform(-math.pi, math.pi)
+            start = x, y, rng.uniform(-math.pi, math.pi)
+            if not clear or _is_clear(layout, start):
+                return start
+
+
+def _is_clear(layout: Layout, start: tuple[float, float, float]) -> bool:
+    return clear_ways(complex(*start[:2]), [complex(*flag) for flag in layout.flags])
 
 
 def _draw_surfaces(rng: np.random.Generator, textures: int) -> list[int]:

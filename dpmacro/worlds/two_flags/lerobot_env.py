@@ -134,6 +134,7 @@ class TwoFlagsEnvConfig(EnvConfig):
     flags: str = TwoFlagsConfig.flags
     layout_seed: int = TwoFlagsConfig.layout_seed
     textures: str = TwoFlagsConfig.textures
+    ways: str = TwoFlagsConfig.ways
     start: str = TwoFlagsConfig.start
     start_spread: float = TwoFlagsConfig.start_spread
     teacher: str = TwoFlagsConfig.teacher
@@ -182,6 +183,7 @@ class FourFlagsEnvConfig(TwoFlagsEnvConfig):
     options_type: ClassVar[type[TwoFlagsConfig]] = FourFlagsConfig
 
     task: str | None = LeRobotFourFlags.task
+    ways: str = FourFlagsConfig.ways
     max_steps: int = FourFlagsConfig.max_steps
 
 
@@ -193,4 +195,5 @@ class SixFlagsEnvConfig(TwoFlagsEnvConfig):
     options_type: ClassVar[type[TwoFlagsConfig]] = SixFlagsConfig
 
     task: str | None = LeRobotSixFlags.task
+    ways: str = SixFlagsConfig.ways
     max_steps: int = SixFlagsConfig.max_steps

@@ -29,6 +29,8 @@ class TwoFlagsConfig:
     """Seed of all that stays fixed: layout, textures and start; the episode's seed does not change it."""
     textures: str = "random"
     """Whether every episode draws the textures of walls and ground ("random") or all share them ("fixed")."""
+    ways: str = "any"
+    """Whether flags may hide or bar others ("any"), or straight ways lead from each to the next ("clear")."""
     start: str = "random"
     """Whether every episode draws where the avatar starts ("random") or all share it ("fixed")."""
     start_spread: float = 0.2
@@ -52,6 +54,7 @@ class TwoFlagsConfig:
             (self.layout_seed >= 0, "layout_seed", "give a seed of 0 or more"),
             (self.textures in ("random", "fixed"), "textures", drawn),
             (self.start in ("random", "fixed"), "start", drawn),
+            (self.ways in ("any", "clear"), "ways", "choose 'any' or 'clear'"),
             # A place that is free in one room lies in a flag or outside the walls of another.
             (self.start == "random" or self.flags == "fixed", "start", "give flags='fixed' with it"),
             (0 <= self.start_spread <= math.pi, "start_spread", "give radians, 0 to pi"),
@@ -100,17 +103,19 @@ class TwoFlagsConfig:
 
 @dataclass(frozen=True)
 class FourFlagsConfig(TwoFlagsConfig):
-    """Options of `FourFlagsEnv`: those of two flags, and as much time for each flag."""
+    """Options of `FourFlagsEnv`: those of two flags, with clear ways, and as much time for each flag."""
 
     world: ClassVar[str] = "FourFlags"
     count: ClassVar[int] = 4
+    ways: str = "clear"
     max_steps: int = 6000
 
 
 @dataclass(frozen=True)
 class SixFlagsConfig(TwoFlagsConfig):
-    """Options of `SixFlagsEnv`: those of two flags, and as much time for each flag."""
+    """Options of `SixFlagsEnv`: those of two flags, with clear ways, and as much time for each flag."""
 
     world: ClassVar[str] = "SixFlags"
     count: ClassVar[int] = 6
+    ways: str = "clear"
     max_steps: int = 9000

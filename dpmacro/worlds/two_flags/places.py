@@ -10,10 +10,11 @@ from collections.abc import Sequence
 
 from dpmacro.worlds.two_flags.scene import AVATAR_RADIUS, FLAG_RADIUS
 
-__all__ = ["CLEAR", "TOUCH", "clearance", "is_seen", "turn_between", "way_past"]
+__all__ = ["CLEAR", "TOUCH", "clear_ways", "clearance", "is_seen", "turn_between", "way_past"]
 
 TOUCH = AVATAR_RADIUS + FLAG_RADIUS
 CLEAR, _PASSING = TOUCH + 0.05, TOUCH + 0.08  # what a straight walk needs, and what one round a flag keeps
+_WAVERING = TOUCH + 0.25  # what a walk keeps that is straight but for noise and some degrees
 _EDGE, _SHADOW = 0.9 * FLAG_RADIUS, 1.1 * FLAG_RADIUS
 
 
@@ -28,6 +29,20 @@ def clearance(end: complex, flags: Sequence[complex]) -> float:
         if beside.real > 0:
             least = min(least, abs(beside - min(beside.real, length)))
     return least
+
+
+def clear_ways(start: complex, flags: Sequence[complex]) -> bool:
+    """Whether straight walks from `start` to each of `flags` in turn come near no other, reached or not.
+
+    Then each is seen as a whole from where the one before is touched, unless it is behind the avatar.
+    """
+    here = start
+    for place, flag in enumerate(flags):
+        others = [other - here for other in (*flags[:place], *flags[place + 1 :])]
+        if clearance(flag - here, others) < _WAVERING:
+            return False
+        here = flag - cmath.rect(TOUCH, cmath.phase(flag - here))
+    return True
 
 
 def way_past(target: complex, flags: Sequence[complex], widest: float) -> float | None:

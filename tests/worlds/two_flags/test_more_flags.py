@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from dpmacro.evaluation.rollouts import PlannerSource, run_episodes
 from dpmacro.worlds import diagnosis_of, expert_of, recording_of
 from dpmacro.worlds.two_flags.env import FORWARD, TwoFlagsConfig, TwoFlagsEnv, draw_layout, draw_start
+from dpmacro.worlds.two_flags.places import clear_ways
 from dpmacro.worlds.two_flags.scene import AVATAR_RADIUS, FLAG_RADIUS, FLAGS, Layout
 
 SHORT_SEED = 8  # the teacher's run is short; found by trying
@@ -116,6 +117,19 @@ def test_layouts_and_starts_leave_room_for_the_avatar(count):
         for one, other in combinations(layout.flags, 2):
             assert math.dist(one, other) > 2 * (FLAG_RADIUS + AVATAR_RADIUS)
     assert 5 <= min(sides) < 8 and 18 < max(sides) <= 20
+
+
+@pytest.mark.parametrize("options", [{}, {"flags": "fixed"}, {"flags": "fixed", "start": "fixed"}])
+@pytest.mark.parametrize(("world", "clear"), [("FourFlags-v0", True), ("TwoFlags-v0", False)])
+def test_the_ways_of_many_flags_are_clear_from_every_start(world, clear, options):
+    env = gym.make(world, render_size=(64, 48), **options)
+    found = []
+    for seed in range(12):
+        _, info = env.reset(seed=seed)
+        flags = [complex(*flag) for flag in env.unwrapped.layout.flags]
+        found.append(clear_ways(complex(*info["position"]), flags))
+    env.close()
+    assert all(found) if clear else options or not all(found)
 
 
 def test_two_flags_are_drawn_as_ever():

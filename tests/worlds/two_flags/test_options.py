@@ -26,6 +26,8 @@ def test_an_id_has_options_of_its_own(world):
 def test_by_default_everything_is_drawn_and_the_papers_teacher_demonstrates():
     config = TwoFlagsConfig()
     assert (config.flags, config.textures, config.start, config.teacher) == (*["random"] * 3, "paper")
+    assert config.ways == "any", "of two flags one may hide the other, as in the paper"
+    assert FourFlagsConfig().ways == SixFlagsConfig().ways == "clear"
 
 
 @pytest.mark.parametrize(
@@ -39,6 +41,7 @@ def test_by_default_everything_is_drawn_and_the_papers_teacher_demonstrates():
         ({"start_spread": 3.2}, "start_spread is 3.2: give radians, 0 to pi"),
         ({"start_spread": math.nan}, "start_spread is nan: give radians, 0 to pi"),
         ({"teacher": "best"}, "teacher is 'best': choose 'paper' or 'searching'"),
+        ({"ways": "free"}, "ways is 'free': choose 'any' or 'clear'"),
         ({"layout_seed": True}, "layout_seed is True: give a value like 0"),
     ],
 )

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dpmacro.worlds.two_flags.places import CLEAR, TOUCH, clearance, is_seen, turn_between, way_past
+from dpmacro.worlds.two_flags.places import (
+    CLEAR,
+    TOUCH,
+    clear_ways,
+    clearance,
+    is_seen,
+    turn_between,
+    way_past,
+)
 
 angles = st.floats(-math.pi, math.pi)
 places = st.builds(cmath.rect, st.floats(0.8, 12.0), angles)
@@ -70,3 +78,29 @@ def test_turns_are_the_shorter_ones(one, other):
     turn = turn_between(one, other)
     assert -math.pi <= turn < math.pi
     assert cmath.rect(1, one + turn) == pytest.approx(cmath.rect(1, other))
+
+
+def least_on_walks(start, flags):
+    """The least distance to another flag, on walks of small steps from each flag to the next."""
+    here, least = start, math.inf
+    for place, flag in enumerate(flags):
+        others = np.array([*flags[:place], *flags[place + 1 :]])
+        way = (flag - here) / abs(flag - here)
+        others = others[((others - here) / way).real > 0]  # those that the walk leads away from do not count
+        walk = here + way * np.linspace(0, abs(flag - here), 2001)[:, None]
+        least = min(least, np.abs(walk - others).min(initial=math.inf))
+        here = flag - TOUCH * way
+    return least
+
+
+@given(places, st.lists(places, min_size=2, max_size=4, unique=True))
+def test_ways_are_clear_where_walks_of_small_steps_keep_away_from_other_flags(start, flags):
+    met = least_on_walks(start, flags)
+    assume(abs(met - TOUCH - 0.25) > 5e-3)
+    assert clear_ways(start, flags) == (met > TOUCH + 0.25)
+
+
+def test_a_flag_that_was_touched_hides_the_next_behind_it():
+    assert clear_ways(0j, [3 + 0j, 3j])
+    assert not clear_ways(0j, [3 + 0j, 6 + 0j])
+    assert not clear_ways(0j, [6 + 0j, 3 + 0.5j]), "red stands beside the way to blue"
