@@ -72,7 +72,7 @@ SOURCES = {
     "four-flags": Source(
         True,
         False,
-        ("--world.id=FourFlags-v0", "--world.teacher=searching"),
+        ("--world.id=FourFlags-v0", "--world.render_size=[64,48]"),
         ("--planner.macros=4",),
     ),
     **{task: _metaworld(task) for task in ("pick-place-v3", "disassemble-v3", "basketball-v3")},

@@ -5,8 +5,8 @@
 
 In the worlds flags-k the places of the flags are fixed, by layout k, as in Table I; in still-k textures and
 start are, too, but for the heading. In searching a teacher demonstrates that looks behind flags. In four and
-six there are more flags, to be touched in order. Whatever is there already is not made again; rows are
-written after every cell to `<output_dir>/rows.json`.
+six there are more flags, to be touched in order, with clear ways. Whatever is there already is not made
+again; rows are written after every cell to `<output_dir>/rows.json`.
 """
 
 import json
