@@ -20,11 +20,11 @@ from dpmacro.segmentation.segments import macro_segments, transition_counts
 
 __all__ = ["divided", "pays"]
 
-Search = Callable[[SortedLevels, Task], Discovery]
+Halving = Callable[[SortedLevels, Task], Discovery]
 
 
 def divided(
-    data: SortedLevels, task: Task, labels: Int64[Tensor, " frames"], search: Search
+    data: SortedLevels, task: Task, labels: Int64[Tensor, " frames"], search: Halving
 ) -> Int64[Tensor, " frames"]:
     """Labels 0.. with macro-actions cut in two wherever this pays, within the Q and S of the task.
 
@@ -76,7 +76,7 @@ class _Part:
 
 
 def _parted(
-    data: SortedLevels, task: Task, labels: Int64[Tensor, " frames"], macro: int, search: Search
+    data: SortedLevels, task: Task, labels: Int64[Tensor, " frames"], macro: int, search: Halving
 ) -> _Part:
     """How the search would cut a macro-action, each of its segments once at most."""
     own = [one for one in macro_segments(labels, task.lengths) if one.macro == macro]

@@ -64,13 +64,11 @@ def discover(
         on_round: called after every boosting round.
     """
     field = field_of(data, task) if settings.criterion == "left_out" else Field(data, task, None)
-    data, task = field.data, field.task
-    if field.drawn is not None:
-        on_round = _without_labels(on_round)
-    found = _found(data, task, settings, restarts, shrinkage, on_round)
-    if settings.criterion == "left_out" and not task.vectors and task.order == "free" and task.given is None:
-        found = _divided(found, data, settings, restarts, shrinkage, on_round)
-    return replace(found, drawn=field.drawn)
+    told = on_round if field.drawn is None else _without_labels(on_round)
+    found = replace(_found(field.data, field.task, settings, restarts, shrinkage, told), drawn=field.drawn)
+    if settings.criterion == "loss" or task.vectors or task.order == "chain" or task.given is not None:
+        return found
+    return _divided(data, task, found, settings, restarts, shrinkage, on_round)
 
 
 def _found(
@@ -81,7 +79,7 @@ def _found(
     shrinkage: float,
     on_round: Callable[[Round], None],
 ) -> Discovery:
-    """Candidates that cut all trajectories, and the one to keep."""
+    """Candidates that cut all trajectories of a field, and the one to keep."""
     if task.vectors and settings.starts != "random":
         alternated = _raced(data, task, settings, restarts, shrinkage, on_round)
     else:
@@ -98,24 +96,33 @@ def _found(
 
 
 def _divided(
-    found: Discovery,
     data: SortedLevels,
+    task: Task,
+    found: Discovery,
     settings: SearchSettings,
     restarts: int,
     shrinkage: float,
     on_round: Callable[[Round], None],
 ) -> Discovery:
-    """What was found, and its macro-actions cut in two where that pays, which is then what to keep."""
+    """What was found, and its macro-actions cut once more in all trajectories, which is then what to keep.
+
+    As it is where it has Q macro-actions already, or cutting pays nowhere. Of vectors one macro-action more
+    always explains a little more, so that their search begins with most.
+    """
+    if not 1 < len(found.kept.used) < task.macros:
+        return found
     told = _without_labels(on_round)
 
     def halves(data: SortedLevels, task: Task) -> Discovery:
-        return _found(data, task, settings, restarts, shrinkage, told)
+        part = discover(data, task, settings, restarts, shrinkage, told)
+        return spread(data, task, part, settings, told)
 
-    labels = divided(data, found.task, found.kept.labels, halves)
-    if len(labels.unique()) == len(found.kept.used):
+    whole = spread(data, task, found, settings, on_round)
+    labels = divided(data, task, whole.kept.labels, halves)
+    if len(labels.unique()) == len(whole.kept.used):
         return found
-    more = score_candidates(data, found.task, labels[None], on_round)
-    return replace(found, candidates=(*found.candidates, *more), best=len(found.candidates))
+    more = score_candidates(data, task, labels[None], on_round)
+    return Discovery(task, whole.alternated, (*whole.candidates, *more), len(whole.candidates))
 
 
 def spread(
