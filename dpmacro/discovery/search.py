@@ -50,6 +50,7 @@ def discover(
     restarts: int,
     shrinkage: float,
     on_round: Callable[[Round], None] = lambda _: None,
+    divide: bool = True,
 ) -> Discovery:
     """Find candidate segmentations in a field of the trajectories and score them on left-out data.
 
@@ -62,11 +63,14 @@ def discover(
         restarts: initial segmentations.
         shrinkage: factor in (0, 1] on every weak hypothesis.
         on_round: called after every boosting round.
+        divide: whether macro-actions of what is found are cut once more, in all trajectories, where that
+            pays. Without, searches of one task with other Q and S have the same field, to be compared.
     """
     field = field_of(data, task) if settings.criterion == "left_out" else Field(data, task, None)
     told = on_round if field.drawn is None else _without_labels(on_round)
     found = replace(_found(field.data, field.task, settings, restarts, shrinkage, told), drawn=field.drawn)
-    if settings.criterion == "loss" or task.vectors or task.order == "chain" or task.given is not None:
+    open_ = settings.criterion == "left_out" and task.order == "free" and task.given is None
+    if not divide or not open_ or task.vectors:
         return found
     return _divided(data, task, found, settings, restarts, shrinkage, on_round)
 
@@ -120,7 +124,7 @@ def _divided(
     whole = spread(data, task, found, settings, on_round)
     labels = divided(data, task, whole.kept.labels, halves)
     if len(labels.unique()) == len(whole.kept.used):
-        return found
+        return whole
     more = score_candidates(data, task, labels[None], on_round)
     return Discovery(task, whole.alternated, (*whole.candidates, *more), len(whole.candidates))
 
