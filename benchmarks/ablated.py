@@ -72,10 +72,6 @@ def _as_it_is(original: Any) -> Callable[..., Any]:
     return lambda scored, *rest: list(scored)
 
 
-def _undivided(original: Any) -> Callable[..., torch.Tensor]:
-    return lambda data, task, labels, search: labels
-
-
 PARTS = {
     "rectangles": Part(
         "rectangles and opponent colours", ("--planner.features=pixels",), camera=True, classes=True
@@ -86,9 +82,6 @@ PARTS = {
     "selection": Part("causal selection", patches=_search(criterion="loss")),
     "joint-cut": Part("joint cut", ("--planner.switch_weight=0",), _search(switch_weight=0.0)),
     "merging": Part("merging", patches=(("dpmacro.discovery.search", "simplified", _as_it_is),)),
-    "division": Part(
-        "division", patches=(("dpmacro.discovery.search", "divided", _undivided),), classes=True
-    ),
     "cues": Part("cues", patches=_switches(cues=False, focused=False), classes=True),
     "focused": Part("focused learning", patches=_switches(focused=False), classes=True),
     "alignment": Part("alignment", patches=_switches(aligned=False)),

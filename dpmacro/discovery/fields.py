@@ -18,7 +18,7 @@ from dpmacro.discovery.task import Task
 from dpmacro.features.levels import SortedLevels
 from dpmacro.segmentation.recursion import segment
 
-__all__ = ["Field", "drawn_of", "extended", "field_of", "given_field", "part_of"]
+__all__ = ["Field", "drawn_of", "extended", "field_of", "given_field"]
 
 FRAMES = 6_000  # that a search is run on at least,
 TRAJECTORIES = 20  # and so many trajectories,
@@ -52,12 +52,12 @@ def field_of(data: SortedLevels, task: Task) -> Field:
         return Field(data, task, None)
     frames = drawn.repeat_interleave(task.lengths)
     parts = {"lengths": task.lengths[drawn], "groups": task.groups[drawn]}
-    return Field(*part_of(data, task, frames, **parts), drawn)
+    return Field(*_part(data, task, frames, **parts), drawn)
 
 
 def given_field(data: SortedLevels, task: Task) -> Field:
     """The frames whose labels are given, whatever trajectories they are of."""
-    return Field(*part_of(data, task, task.known.held), None)
+    return Field(*_part(data, task, task.known.held), None)
 
 
 def extended(
@@ -106,7 +106,7 @@ def drawn_of(
     return drawn
 
 
-def part_of(
+def _part(
     data: SortedLevels, task: Task, frames: Bool[Tensor, " frames"], **others: Tensor
 ) -> tuple[SortedLevels, Task]:
     """Data and task of some frames."""

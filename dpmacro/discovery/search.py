@@ -17,7 +17,6 @@ from dpmacro.boosting.loop import Round
 from dpmacro.discovery.alternation import Alternated, pooled
 from dpmacro.discovery.candidates import Candidate, score_candidates
 from dpmacro.discovery.criteria import best_candidate
-from dpmacro.discovery.division import divided
 from dpmacro.discovery.fields import Field, extended, field_of
 from dpmacro.discovery.race import boosted, boosted_in_turn, raced, taught
 from dpmacro.discovery.refinement import recut, simplified
@@ -50,7 +49,6 @@ def discover(
     restarts: int,
     shrinkage: float,
     on_round: Callable[[Round], None] = lambda _: None,
-    divide: bool = True,
 ) -> Discovery:
     """Find candidate segmentations in a field of the trajectories and score them on left-out data.
 
@@ -63,27 +61,11 @@ def discover(
         restarts: initial segmentations.
         shrinkage: factor in (0, 1] on every weak hypothesis.
         on_round: called after every boosting round.
-        divide: whether macro-actions of what is found are cut once more, in all trajectories, where that
-            pays. Without, searches of one task with other Q and S have the same field, to be compared.
     """
     field = field_of(data, task) if settings.criterion == "left_out" else Field(data, task, None)
-    told = on_round if field.drawn is None else _without_labels(on_round)
-    found = replace(_found(field.data, field.task, settings, restarts, shrinkage, told), drawn=field.drawn)
-    open_ = settings.criterion == "left_out" and task.order == "free" and task.given is None
-    if not divide or not open_ or task.vectors:
-        return found
-    return _divided(data, task, found, settings, restarts, shrinkage, on_round)
-
-
-def _found(
-    data: SortedLevels,
-    task: Task,
-    settings: SearchSettings,
-    restarts: int,
-    shrinkage: float,
-    on_round: Callable[[Round], None],
-) -> Discovery:
-    """Candidates that cut all trajectories of a field, and the one to keep."""
+    data, task = field.data, field.task
+    if field.drawn is not None:
+        on_round = _without_labels(on_round)
     if task.vectors and settings.starts != "random":
         alternated = _raced(data, task, settings, restarts, shrinkage, on_round)
     else:
@@ -96,37 +78,7 @@ def _found(
         return Discovery(task, alternated, tuple(score_candidates(data, task, least[None], on_round)), 0)
     candidates = _scored(data, task, alternated, settings, restarts, on_round)
     best = best_candidate([one.scores for one in candidates], task.vectors)
-    return Discovery(task, alternated, tuple(candidates), best)
-
-
-def _divided(
-    data: SortedLevels,
-    task: Task,
-    found: Discovery,
-    settings: SearchSettings,
-    restarts: int,
-    shrinkage: float,
-    on_round: Callable[[Round], None],
-) -> Discovery:
-    """What was found, and its macro-actions cut once more in all trajectories, which is then what to keep.
-
-    As it is where it has Q macro-actions already, or cutting pays nowhere. Of vectors one macro-action more
-    always explains a little more, so that their search begins with most.
-    """
-    if not 1 < len(found.kept.used) < task.macros:
-        return found
-    told = _without_labels(on_round)
-
-    def halves(data: SortedLevels, task: Task) -> Discovery:
-        part = discover(data, task, settings, restarts, shrinkage, told)
-        return spread(data, task, part, settings, told)
-
-    whole = spread(data, task, found, settings, on_round)
-    labels = divided(data, task, whole.kept.labels, halves)
-    if len(labels.unique()) == len(whole.kept.used):
-        return whole
-    more = score_candidates(data, task, labels[None], on_round)
-    return Discovery(task, whole.alternated, (*whole.candidates, *more), len(whole.candidates))
+    return Discovery(task, alternated, tuple(candidates), best, field.drawn)
 
 
 def spread(

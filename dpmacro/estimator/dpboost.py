@@ -217,7 +217,6 @@ class DPBoost:
         groups: Int64[Tensor, " trajectories"] | None = None,
         known: Int64[Tensor, " frames"] | None = None,
         given: ArrayLike | None = None,
-        divide: bool = True,
         on_round: Callable[[Round], None] = lambda _: None,
     ) -> Discovery | None:
         """Candidate segmentations and their scores without the final fit; None where there is nothing to cut.
@@ -228,7 +227,6 @@ class DPBoost:
             groups: numbers 0.. of trajectories to leave out together; alone by default.
             known: labels 0..Q-1 that take the place of the search; they keep to what is given.
             given: labels of some frames, as for `fit`.
-            divide: whether macro-actions are cut once more, in all trajectories, where that pays.
             on_round: called after every boosting round.
         """
         task = task_of(self.get_params(), data, actions, lengths, groups, given)
@@ -236,8 +234,9 @@ class DPBoost:
             return None
         if known is not None:
             return adopt(data, task, as_known(known, task), on_round)
-        given_search = search_of(self.get_params()), int(self.restarts), shrinkage_of(self.get_params())
-        return discover(data, task, *given_search, on_round, divide)
+        options = self.get_params()
+        settings, shrinkage = search_of(options), shrinkage_of(options)
+        return discover(data, task, settings, int(self.restarts), shrinkage, on_round)
 
     def fit_levels(
         self,
@@ -257,13 +256,14 @@ class DPBoost:
         """`fit` on levels, with learners of the caller's; the result has no quantiser.
 
         Args:
-            data, actions, lengths, groups, given: as for `discover_levels`.
+            data, actions, lengths, groups: as for `discover_levels`.
             learner: of the strong classifiers; exact stumps by default.
             switch_learner: of the switch functions, copies of the frames after them if any; by default
                 stumps on `SWITCH_DRAWN` random columns a round.
             shrinkage: of the strong classifiers, where their learner wants another than the search.
             switches: how the switch functions learn, in place of this estimator's.
             discovery: what `discover_levels` found, where it has run already, with the same `given`.
+            given: labels of some frames, as for `fit`.
             on_round: called after every boosting round.
         """
         options = self.get_params()

@@ -228,7 +228,7 @@ class Trainer:
             shared = {"groups": self.data.groups, "on_round": monitor.on_round}
             given = data, self.data.actions, self.data.lengths
             dpboost = self._dpboost(macros, bound)
-            found = dpboost.discover_levels(*given, divide=False, **shared)
+            found = dpboost.discover_levels(*given, **shared)
             if found is not None:
                 discoveries.append(found)
                 if vectors:
