@@ -121,7 +121,7 @@ def test_a_policy_runs_in_its_own_world_but_for_given_options(script, policy, tm
     options = [f"--policy.path={policy}", "--episodes=2", "--world.yaw_noise=0", f"--output_dir={tmp_path}"]
     call(script, monkeypatch, *options)
     ours = json.loads((tmp_path / "eval_info.json").read_text())["dpmacro"]
-    expected = {**WORLD, "yaw_noise": 0.0, "renderer": "tiny"}
+    expected = {**WORLD, "ways": "any", "yaw_noise": 0.0, "renderer": "tiny"}
     assert ours["world"] == expected
     assert (ours["planner"], ours["policy_path"], ours["recovery"]) == ("dpboost", str(policy), False)
     assert sum(failure["runs"] for failure in ours["failures"]) == 2
