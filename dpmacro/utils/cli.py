@@ -11,6 +11,7 @@ import os
 import re
 import signal
 import sys
+import time
 from argparse import ArgumentParser as Argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -42,6 +43,7 @@ Config = TypeVar("Config")
 Result = TypeVar("Result")
 
 USAGE_ERROR = 2
+SAYING = 10.0  # seconds that the first of several ranks has to say what is wrong
 SIGNALLED = 128  # and the number of a signal: the exit status of a process that it ended
 EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 UNFIT = re.compile(r"`(?P<name>[^`]*)`: Failed when parsing value='?(?P<value>.*?)'? into field ", re.DOTALL)
@@ -112,6 +114,8 @@ def run(main: Callable[[Config], None], config_class: type[Config]) -> None:
     except (ValueError, OSError) as error:
         if os.environ.get("RANK", "0") == "0" or isinstance(error, ConnectionError):
             say(f"error: {in_a_line(error)}")  # once, where torchrun has started several
+        else:
+            time.sleep(SAYING)  # torchrun ends the others once one has ended, and the first has to say it
         sys.exit(USAGE_ERROR)
     except interrupts.Terminated as error:
         say(f"ended by {error}")

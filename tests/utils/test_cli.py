@@ -102,6 +102,22 @@ def test_a_file_of_something_else_is_one_line(tmp_path, name, text, message):
     assert f"--config_path={tmp_path / name} {message}" in str(error.value)
 
 
+@pytest.mark.parametrize(("rank", "silent"), [(None, False), ("0", False), ("1", True)])
+def test_of_several_ranks_the_first_says_a_mistake_before_another_ends(monkeypatch, capsys, rank, silent):
+    """All are ended by torchrun as soon as one has ended."""
+    waited = []
+    monkeypatch.setattr(cli.time, "sleep", waited.append)
+    monkeypatch.setattr(sys, "argv", ["script.py", "--inner.count=0"])
+    monkeypatch.delenv("RANK", raising=False)
+    if rank is not None:
+        monkeypatch.setenv("RANK", rank)
+    with pytest.raises(SystemExit) as ended:
+        cli.run(lambda options: None, Options)
+    assert ended.value.code == 2
+    assert (capsys.readouterr().err == "") == silent
+    assert waited == [cli.SAYING] * silent
+
+
 def test_a_folder_may_begin_at_home(monkeypatch):
     monkeypatch.setenv("HOME", "/home/she")
     assert cli.parse(Options, ["--folder=~/runs"]).folder == Path("/home/she/runs")
