@@ -22,7 +22,7 @@ __all__ = ["Field", "drawn_of", "extended", "field_of", "given_field"]
 
 FRAMES = 6_000  # that a search is run on at least,
 TRAJECTORIES = 20  # and so many trajectories,
-MOST = 48_000  # but no more once there are so many frames
+MOST = 24_000  # but no more once there are so many frames
 ROUNDS = 60  # of the classifiers that label the others
 STEP = 0.3
 COLUMNS = 48  # random ones searched a round

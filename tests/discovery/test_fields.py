@@ -38,7 +38,7 @@ def small(monkeypatch):
         (30, 1_000, 20),
         (78, 230, 27),  # more, for the frames
         (500, 50, 120),
-        (500, 5_000, 10),  # fewer, for the frames
+        (500, 5_000, 5),  # fewer, for the frames
         (3, 90_000, 1),
     ],
 )
